@@ -57,6 +57,8 @@ def sentence(found: Mapping[str, Any]) -> str:
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
     left = left_over(found)
+    if all((e.get("probability") or 1.0) < 0.5 for e in (*missing(found), *found["unexplained"])):
+        return f"The model predicts better with {lacking}, but of claims like this fewer than half are right.{gain}{f' {left}' * bool(left)}"
     return f"The calibrated model lacks {lacking}.{gain}{f' {left}' * bool(left)}"
 
 

@@ -618,3 +618,11 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     assert re.search(r"part\s+wrist 2\s+payload mass\s+33\.3\s+torque ripple of wrist 2\s+33\.3\s+noise\s+33\.3\s", text)
     assert "Some recordings move wrist 2 at angles or speeds that the others do not reach." in text
     assert not re.search(r"\w_\w|\d\.\d{7}", text.replace("tau_l", ""))
+
+
+def test_claims_that_are_rather_wrong_than_right_are_not_said_to_be_lacking():
+    found = {"verdict": "missing_physics", "unexplained": [], "bootstrap": {}, "effects": [stribeck() | {"probability": 0.3}]}
+    assert "fewer than half are right" in sentence(found)
+    assert "lacks" not in sentence(found)
+    sure = found | {"effects": [*found["effects"], stribeck() | {"probability": 0.9}]}
+    assert sentence(sure).startswith("The calibrated model lacks")
