@@ -15,17 +15,17 @@ from scipy.spatial import KDTree
 from rrr_oc.calibration.estimator.data import EVERY, Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.samples import STRIDE, Prepared, kept_rows
+from rrr_oc.diagnosis.mismatch import signals_at_rows
 from rrr_oc.diagnosis.structures.search import Search
 
-FAR, NEAR = (
-    10.0,
-    2.5,
-)  # deviations of a joint's error, of an event's peak and up to its ends; doubled, weak pushes stay in the fit
+# deviations of a joint's error, of an event's peak and up to its ends; doubled, weak pushes stay in the fit
+FAR, NEAR = 10.0, 2.5
 SHARE = 0.15  # of a joint's torque, that a peak has at least; doubled, weak pushes stay in the fit
-SLOW = 2.0  # [s] over which the median of the error counts as no event
-LONGEST, MOST = 2.0, 0.2  # duration of an event [s], and share of the time that events may take; more is missing physics
+SLOW = 2.0  # [s] of the running median, which passes what lasts half as long; doubled, longer contacts are events
+MOST = 0.2  # share of the time that events may take; more is missing physics
 ALIKE, AGAIN = 5, 0.3  # rows of a like state, and share of a peak that they may have in the median
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
+STATE = ("q", "dq", "ddq", "load_torque")
 LEAST = 60  # rows from which deviations are known
 
 
@@ -50,7 +50,8 @@ class Event(Struct, frozen=True, rename={"begin": "from", "end": "to"}):
 def events(fitted: Fitted) -> list[Event]:
     """Events in the error of a plain fit."""
     data, model = fitted.posterior.data, fitted.model
-    state = np.array([_rows(data, [x(p) for p in data.prepared]) for x in _STATE] + [_load(data, fitted)])  # (4, n, M)
+    signals = signals_at_rows(data, model)
+    state = np.array([signals[name][0] for name in STATE])
     t, result = _times(data), list[Event]()
     for j, joint in enumerate(model.joints):
         counted = data.counted[j]
@@ -63,7 +64,7 @@ def events(fitted: Fitted) -> list[Event]:
             continue
         own = state[:, j] / np.maximum(state[:, j, counted].std(axis=1, keepdims=True), 1e-12)
         for rows in stretches:
-            if np.ptp(t[rows]) < LONGEST and not _comes_again(data, own, sudden, t, rows, counted):
+            if not _comes_again(data, own, sudden, t, rows, counted):
                 k = int(np.searchsorted(data.edges, rows[0], side="right")) - 1
                 half = STRIDE * EVERY / 2
                 peak = float(sudden[rows[np.argmax(np.abs(sudden[rows]))]])
@@ -75,6 +76,8 @@ def events(fitted: Fitted) -> list[Event]:
 
 def unlike_laws(search: Search, begin: Fitted, some: Sequence[Event]) -> list[Event]:
     """Events of those joints of which no law of the catalogue explains much there, in the linear problem about the plain fit."""
+    if not some:
+        return []
     near, data, result = search.neighbours(begin), begin.posterior.data, list[Event]()
     here = near.at((), begin.posterior.hyper, True)
     rows = np.arange(data.edges[-1])
@@ -115,18 +118,6 @@ def without(prepared: Sequence[Prepared], joints: Sequence[str], some: Sequence[
     return tuple(result)
 
 
-_STATE = (lambda p: p.recording.q, lambda p: p.recording.dq, lambda p: p.recording.ddq)
-
-
-def _load(data: Data, fitted: Fitted) -> np.ndarray:
-    return _rows(data, [fitted.model.torques(p.recording)[1] for p in data.prepared])
-
-
-def _rows(data: Data, signals: Sequence[np.ndarray]) -> np.ndarray:
-    """Signals (n, K) of each recording at the rows that are used, (n, M)."""
-    return np.concatenate([p.filtered(x) for p, x in zip(data.prepared, signals, strict=True)], axis=1)[:, data.at]
-
-
 def _slow(data: Data, error: np.ndarray) -> np.ndarray:
     """The running median of an error (M,), recording by recording."""
     size = round(SLOW / (STRIDE * EVERY)) | 1
@@ -149,7 +140,7 @@ def _comes_again(
     peak = rows[np.argmax(np.abs(error[rows]))]
     some = np.flatnonzero(counted)
     number = np.repeat(np.arange(len(data.edges) - 1), np.diff(data.edges))
-    other = some[(number[some] != number[peak]) | (np.abs(t[some] - t[peak]) > LONGEST)]
+    other = some[(number[some] != number[peak]) | (np.abs(t[some] - t[peak]) > SLOW)]
     if len(other) < ALIKE:
         return False
     near = [KDTree(x[:, other].T).query(x[:, peak], k=ALIKE)[1] for x in (state, state[:1])]

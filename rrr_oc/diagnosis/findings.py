@@ -58,7 +58,7 @@ class Finding:
         fall: By how much it lowers the error of a joint on data that it was not fitted to.
         innovations: The same of the error's innovations, which a slow disturbance does not hide.
         like: Of a black-box term: the law that it is most like.
-        reach: Of a law: share of what the best flexible function in its place explains that it explains.
+        reach: Of a law: share of what the best flexible function in its place explains that it explains; None where that was not asked.
         with_function: Whether it is not named, but told with a function beside it, whose torque is most like it.
     """
 
@@ -72,7 +72,7 @@ class Finding:
     fall: Fall | None = None
     innovations: Fall | None = None
     like: Like | None = None
-    reach: float = 1.0
+    reach: float | None = None
     with_function: bool = False
 
     @property

@@ -4,7 +4,7 @@
 CLAIM = 0.95
 # Share of a joint's torque below which an effect is too small to matter and is not claimed; 0 claims effects of any size.
 NEGLIGIBLE = 0.0003
-# Share by which an effect must lower the held-out error of a joint, or the error's innovations; with less it is small; doubled, more is.
+# Share by which an effect must lower the held-out error of a joint, or its innovations; with less it is small; doubled, fewer matter.
 MATTERS = 0.02
 # By how much effects exceed their typical size, and in which share of arms; with smaller factors, large effects are taken for others.
 EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}

@@ -41,7 +41,7 @@ def mismatch(
     result, joints = [], plain.model.joints
     squares = [np.maximum(np.sum(f.residual**2, axis=1), 1e-300) for f in (plain, fitted)]
     growth = np.maximum(squares[0] / squares[1] - 1, 0.0)
-    variables = _variables(bench, plain.model)
+    variables = signals_at_rows(bench, plain.model)
     for j, joint in enumerate(joints):
         own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
         p = min((f.p_value for f in own), default=1.0)
@@ -100,8 +100,8 @@ def filtered_noise(bench: Data, model: CalibratedModel) -> np.ndarray:
     return np.maximum(noise(bench.prepared, model) * np.sqrt(np.mean(np.concatenate(gains))), 1e-9)
 
 
-def _variables(bench: Data, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
-    """Variables that the error may depend on, filtered, at the rows of the fit: (n, M) by name, with units."""
+def signals_at_rows(bench: Data, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
+    """Signals that an error may depend on, filtered, at the rows of the fit: (n, M) by name, with units."""
     parts, bare = [], replace(model, terms=())
     for p in bench.prepared:
         r = p.recording

@@ -50,7 +50,6 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
-MOST_EVENTS = 100  # from which no further ones are looked for
 AGAIN = "search with the delay that was found"
 ALIKE = 0.001  # by how much the delay that a search ends with may differ from that with which it was made [s]
 
@@ -300,7 +299,7 @@ def _late(fitter: Fitter, fitted: Fitted) -> list[Finding]:
     if found is None or found[1].low <= MATTERS:
         return []
     term, fall, p_value = found
-    return [Finding(term, 1 - p_value, 1 - p_value, 0.0, p_value, (), None, fall)]
+    return [Finding(term, 1 - p_value, 1 - p_value, np.nan, p_value, (), None, fall)]
 
 
 def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Diagnosis:
@@ -318,7 +317,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
 def _begun(fitter: Fitter, every: tuple[Trial, ...], start: CalibratedModel) -> tuple[Fitter, Fitted, list[Event]]:
     """What fits models to all but events, the plain fit, and the events."""
     begin, some = fitter.begin(start), list[Event]()
-    while len(some) < MOST_EVENTS and (new := events(begin)) and (new := unlike_laws(Search.of(fitter, every), begin, new)):
+    while new := [e for e in unlike_laws(Search.of(fitter, every), begin, events(begin)) if e not in some]:
         some += new  # beside large ones others do not show
         fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, new)))
         begin = fitter.begin(start)

@@ -228,8 +228,9 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
         calibration=(np.array([gone]), np.array([gone])),
     )
     kept = Stages(start).keep("one", FindingData.of(f, start.robot)).finding(start.robot)
-    numbers_of = kept.worth, kept.probability, kept.p_value, kept.fall.low, kept.innovations.high, kept.like.reach, kept.reach
+    numbers_of = kept.worth, kept.probability, kept.p_value, kept.fall.low, kept.innovations.high, kept.like.reach
     assert np.isnan(numbers_of).all()
+    assert kept.reach is None
     assert kept.like.term == kept.term
     assert kept.term.estimates[0] == replace(estimate, std=None, interval=None)
     assert Stages(start).keep("one", ModelData.of(model)).model(start).spread is not None

@@ -404,7 +404,7 @@ def test_an_effect_that_changes_no_prediction_is_said_to_change_none():
     unseen = dict(claim.facts)["On unseen data"]
     assert unseen == (
         "On stretches of some seconds left out of the fit, it lowers the error of joint1's torque by 12.3 % (95 %: 10.0 to 20.0 %), "
-        "beside all else that was found. On whole recordings left out, with all that was found, joint1's goes from 4.70 % to 0.800 % "
+        "beside all other laws that were found. On whole recordings left out, with all that was found, joint1's goes from 4.70 % to 0.800 % "
         "of the torque's standard deviation."
     )
 
@@ -427,7 +427,7 @@ def test_a_claim_says_what_it_explains_of_what_is_fast_where_that_is_more(innova
     fast = "Of what is fast in that error, which nothing before foretells, it explains 34.5 % (95 %: 30.0 to 40.0 %)."
     assert unseen.startswith(
         "On stretches of some seconds left out of the fit, it lowers the error of joint1's torque by 12.3 % (95 %: 10.0 to 20.0 %), "
-        f"beside all else that was found. {f'{fast} ' * said}On whole recordings left out"
+        f"beside all other laws that were found. {f'{fast} ' * said}On whole recordings left out"
     )
     assert ("what is fast" in unseen) == said
 

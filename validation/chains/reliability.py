@@ -12,7 +12,6 @@ they are.
 import argparse
 import itertools
 import json
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -37,13 +36,18 @@ def claims(cases: Path, out: Path) -> dict[str, Claims]:
     """The claims of all cases that were diagnosed, by kind."""
     result: dict[str, Claims] = {"law": [], "dependence": []}
     for folder in cases_of(cases):
-        file = out / "diagnoses" / f"{folder.name}.json"
-        if not file.exists() or "failed" in (found := json.loads(file.read_text())):
+        if not (found := diagnosis_of(folder, out)):
             continue
         truth = json.loads((folder / "sealed" / "truth.json").read_text())
-        for kind, x, right in _of_case(found["diagnosis"], Sealed.read(folder / "sealed", truth)):
+        for kind, x, right in _of_case(found, Sealed.read(folder / "sealed", truth)):
             result[kind].append((folder.name.split("-")[0], x, right))
     return result
+
+
+def diagnosis_of(folder: Path, out: Path) -> dict[str, Any]:
+    """What was said of a case; nothing where it was not diagnosed."""
+    file = out / "diagnoses" / f"{folder.name}.json"
+    return json.loads(file.read_text()).get("diagnosis", {}) if file.exists() else {}
 
 
 def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.ndarray, bool]]:
@@ -111,11 +115,10 @@ def main() -> None:
         print(", ".join(f"{name} {w:.2f}" for name, w in zip(NAMES, found[kind], strict=True)))
         print(table(elsewhere(some)))
     if options.write:
-        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True)
-        names = sorted({folder.name for folder in cases_of(options.cases)})
+        names = sorted(folder.name for folder in cases_of(options.cases) if diagnosis_of(folder, options.out))
         content = {kind: [round(float(x), 4) for x in w] for kind, w in found.items()}
         content |= {"claims": [len(some) for some in every.values()]}
-        content |= {"cases": f"{len(names)} cases, {names[0]} to {names[-1]}, commit {commit.stdout.strip()}"}
+        content |= {"cases": f"{len(names)} cases, {names[0]} to {names[-1]}"}
         write_json(ROOT / "rrr_oc" / "data" / "reliability.json", content)
 
 

@@ -22,14 +22,14 @@ QUANTILE = 0.975  # of the upper end of an interval
 class Fall:
     """By how much a change of a model lowers the held-out rms of a joint, as a share of what it is without, and its 95 % interval.
 
-    `before` is the rms without it over the standard deviation of the joint's torque.
+    `before` is the rms without it over the standard deviation of the joint's torque; NaN where it is not asked for.
     """
 
     joint: int
     share: float
     low: float
     high: float
-    before: float = 0.0
+    before: float = np.nan
 
     @property
     def of_torque(self) -> float:

@@ -110,15 +110,16 @@ class Place:
         return [self.shape(a) for a in self.near.candidates(here) if a.columns[joint].any()]
 
 
+def reach(left: float, least: float, before: float) -> float:
+    """Share of what the best explains that is explained, by rms, from squares: that are left, that the best leaves, that there were."""
+    return float(1 - np.sqrt(max(left - least, 0.0) / (before - least))) if before > least else 0.0
+
+
 def reached(place: Place, shapes: Sequence[Shape]) -> list[Shape]:
-    """Shapes with their reach, by rms: 1 less the root of what each leaves beyond the best over what there was beyond it."""
+    """Shapes with their reach among themselves."""
     left = [(1 - place.measure(s.falls).share) ** 2 for s in shapes]
     least = min([*left, 1.0])
-    whole = 1 - least
-    return [
-        replace(s, reach=float(1 - np.sqrt((x - least) / whole)) if whole > 0 else 0.0)
-        for s, x in zip(shapes, left, strict=True)
-    ]
+    return [replace(s, reach=reach(x, least, 1.0)) for s, x in zip(shapes, left, strict=True)]
 
 
 def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> tuple[Fitted, list[Finding]]:
@@ -166,11 +167,11 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
             kept = [replace(g, with_function=True) if g is f else g for g in kept]
             kept = [replace(g, like=Like(f.term, own.reach)) if g is companion else g for g in kept]
             told.append(companion.term)
-        elif own is every[0]:
-            kept[kept.index(f)] = replace(f, reach=own.reach)
-        elif place.against((*place.less, own.addition), place.whole).share > 0:
+        elif own is not every[0] and place.against((*place.less, own.addition), place.whole).share > 0:
             kept = [g for g in kept if left_out.of(g.term) in place.less]  # in another shape nothing beside it is needed
             new.append((own.addition, None))
+        else:
+            kept[kept.index(f)] = replace(f, reach=own.reach)
     if not new:
         return complete, kept
     structure = (*(offered[id(g.term)] for g in kept), *(a for a, _ in new))
@@ -196,8 +197,7 @@ def _most_like(
     for s in sorted(laws, key=lambda s: -s.reach)[:LIKE]:
         fitted = search.fit(complete, place.near.at((*others, s.addition), place.left_out.hyper))
         left = place.left_out.of_both(fitted.residual)
-        beyond, whole = ((place.of_joint(x) - place.of_joint(least)) for x in (left, before))
-        found.append(Like(intervals(fitted).terms[-1], float(1 - np.sqrt(max(beyond, 0.0) / whole)) if whole > 0 else 0.0))
+        found.append(Like(intervals(fitted).terms[-1], reach(*map(place.of_joint, (left, least, before)))))
     like = max(found, key=lambda one: one.reach, default=None)
     return like if like is not None and like.reach > 0 else None
 

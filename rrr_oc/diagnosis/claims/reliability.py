@@ -24,7 +24,7 @@ class Regression(Struct, forbid_unknown_fields=True):
     Attributes:
         law, dependence: For an effect that is named, and for the joint and the variables of a torque that is described.
         claims: Numbers of both.
-        cases: Of which sealed cases and version.
+        cases: Of how many sealed cases, from which to which.
     """
 
     law: tuple[float, ...]
@@ -43,7 +43,7 @@ def features(entry: Mapping[str, Any], anatomy: Mapping[str, float]) -> np.ndarr
             1.0,
             np.log(max(entry["log_odds"], 1.0)),
             np.clip(max(ends, default=0.0), -0.2, 1.0),
-            1 - np.clip(entry.get("reaches", 1.0), 0.0, 1.0),
+            1 - np.clip(1.0 if entry.get("reaches") is None else entry["reaches"], 0.0, 1.0),
             np.log1p(len(entry.get("rivals", ()))),
             0.5 * np.log1p(max(rest, 0.0) / max(noise, 1e-12)),
             np.log(max(size["of_torque"], 1e-4)),

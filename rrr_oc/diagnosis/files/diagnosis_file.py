@@ -98,7 +98,7 @@ class HeldOut(Struct, forbid_unknown_fields=True):
     """Error of a joint's torque over the recorded one's standard deviation, on blocks of some seconds that were left out.
 
     Attributes:
-        held_out_before: Without an effect, beside all others [1].
+        held_out_before: Without an effect, beside all other laws; a black-box term beside all else [1].
         held_out_after: With it [1].
     """
 
@@ -155,7 +155,7 @@ class Claim(Named):
         log_odds: By how much it raises the logarithm of the posterior probability [nats].
         nrmse: Error without and with it.
         lowers_error: Its size, on data that it was not fitted to.
-        reaches: Share of what the best flexible function in its place explains that it explains [1].
+        reaches: Share of what the best flexible function in its place explains that it explains [1]; null where that was not asked.
         indistinguishable_from: Names of the effects that explain these recordings as well.
         rivals: The same with their joints.
         follows: Of friction that grows with a torque: whether that is the load's or the motor's.
@@ -169,7 +169,7 @@ class Claim(Named):
     log_odds: float
     nrmse: HeldOut
     lowers_error: Lowered
-    reaches: float
+    reaches: float | None
     indistinguishable_from: tuple[str, ...]
     rivals: tuple[Named, ...]
     follows: Literal["load", "motor"] | None = None

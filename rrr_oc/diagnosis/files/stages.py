@@ -277,7 +277,7 @@ class FindingData(Struct):
     fall: Fall | None
     innovations: Fall | None
     like: tuple[TermEntry, float] | None
-    reach: float
+    reach: float | None
     with_function: bool
 
     @classmethod

@@ -118,7 +118,7 @@ def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         joints = [size["joint"]] if size["joint"] in errors else joints
         text = (
             f"On stretches of some seconds left out of the fit, it lowers the error of {joint_words(size['joint'])}'s torque by "
-            f"{say.share(size)}, beside all else that was found. "
+            f"{say.share(size)}, beside all {'other laws' if 'effect' in e else 'else'} that {'were' if 'effect' in e else 'was'} found. "
         )
         if (fast := size.get("innovations")) and fast["share"] > size["share"]:
             text += f"Of what is fast in that error, which nothing before foretells, it explains {say.share(fast)}. "
