@@ -142,7 +142,8 @@ class CalibratedModel:
     def physics(self, recording: Recording) -> Physics:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""
         terms = [term for term in self.prompt_terms if term.holds_for(recording)]
-        effects = (*(spring for spring, _ in recording.springs), *(term.effect for term in terms))
+        own = (replace(t.effect, here=recording.group) if _in_symbols(t.effect) else t.effect for t in terms)
+        effects = (*(spring for spring, _ in recording.springs), *own)
         springs = [theta[p.name] for effect, theta in recording.springs for p in effect.parameters]
         widths = [effect.width.nominal for effect, _ in recording.springs if effect.width is not None]
         return Physics(
@@ -231,6 +232,11 @@ class CalibratedModel:
         tool = recordings.tool if loaded else self.tool
         constants = recordings.torque_constant if self.torque == "current" else self.torque_constant
         return replace(self, robot=replace(own, gravity=recordings.gravity), tool=tool, torque_constant=constants)
+
+
+def _in_symbols(effect: Effect) -> bool:
+    """Whether an effect has a value of its own in each set-up, and symbols are made of its law, which know no set-up."""
+    return isinstance(effect, OfEach) and effect.side in ("drive", "link")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ A friction that sticks or a play that closes leaves large errors for some tenths
 speed, acceleration and load do; an event does not.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,7 +24,13 @@ FAR, NEAR = 10.0, 2.5
 SHARE = 0.15  # of a joint's torque, that a peak has at least; doubled, weak pushes stay in the fit
 SLOW = 2.0  # [s] of the running median, which passes what lasts half as long; doubled, longer contacts are events
 MOST = 0.2  # share of the time that events may take; more is missing physics
-ALIKE, AGAIN = 5, 0.3  # rows of a like state, and share of a peak that they may have in the median
+ALIKE = 5  # rows of a like state of which the median is taken; doubled, what only one other recording has is no like state
+AGAIN = 0.3  # share of a peak that the rows of the most alike states may have in the median; doubled, friction that sticks is events
+NEIGHBOURS = 40  # rows of the most alike states, some of which are of the same time; doubled, no change
+CLOSE = 0.6  # deviations of a state up to which another is like it; doubled, motions that only one recording has are events
+AGREE = 0.7  # share of the difference to errors in like states that these may be apart; doubled, what differs between set-ups is events
+FAR_FROM_LIKE = 7.0  # deviations of the difference to errors in like states; doubled, weak pushes stay in the fit
+FUNCTIONS = 4  # of a joint that are tried, those of the largest gain
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
 STATE = ("q", "dq", "ddq", "load_torque")
 LEAST = 60  # rows from which deviations are known
@@ -52,37 +59,38 @@ def events(fitted: Fitted) -> list[Event]:
     data, model = fitted.posterior.data, fitted.model
     signals = signals_at_rows(data, model)
     state = np.array([signals[name][0] for name in STATE])
-    t, result = _times(data), list[Event]()
+    t, result = times(data), list[Event]()
+    number = np.repeat(np.arange(len(data.edges) - 1), np.diff(data.edges))
     for j, joint in enumerate(model.joints):
         counted = data.counted[j]
         if counted.sum() < LEAST:
             continue
         sudden = np.where(counted, fitted.residual[j] - _slow(data, fitted.residual[j]), 0.0)
-        deviation = 1.4826 * np.median(np.abs(sudden[counted]))
-        stretches = _stretches(data, sudden, deviation, SHARE * data.torque[j]) if deviation > 0 else []
+        own = state[:, j] / np.maximum(state[:, j, counted].std(axis=1, keepdims=True), 1e-12)
+        at = np.array([t, number * 2 * (t.max() + SLOW) + t])
+        stretches = _stretches_of(data, sudden, own, at, counted, SHARE * data.torque[j])
         if sum(map(len, stretches)) > MOST * counted.sum():
             continue
-        own = state[:, j] / np.maximum(state[:, j, counted].std(axis=1, keepdims=True), 1e-12)
+        half = STRIDE * EVERY / 2
         for rows in stretches:
-            if not _comes_again(data, own, sudden, t, rows, counted):
-                k = int(np.searchsorted(data.edges, rows[0], side="right")) - 1
-                half = STRIDE * EVERY / 2
-                peak = float(sudden[rows[np.argmax(np.abs(sudden[rows]))]])
-                result.append(
-                    Event(joint, data.prepared[k].recording.file, float(t[rows[0]] - half), float(t[rows[-1]] + half), peak)
-                )
+            file = data.prepared[number[rows[0]]].recording.file
+            peak = float(sudden[rows[np.argmax(np.abs(sudden[rows]))]])
+            result.append(Event(joint, file, float(t[rows[0]] - half), float(t[rows[-1]] + half), peak))
     return result
 
 
 def unlike_laws(search: Search, begin: Fitted, some: Sequence[Event]) -> list[Event]:
-    """Events of those joints of which no law of the catalogue explains much there, in the linear problem about the plain fit."""
+    """Events of those joints of which no law of the catalogue and no function explains much there, in the linear problem about the plain
+    fit."""
     if not some:
         return []
     near, data, result = search.neighbours(begin), begin.posterior.data, list[Event]()
     here = near.at((), begin.posterior.hyper, True)
     rows = np.arange(data.edges[-1])
     left = [near.linear.left((), here.solution.step, rows)]
-    for a in near.candidates(here):
+    joints = sorted({begin.model.joints.index(e.joint) for e in some})
+    functions = (a for j in joints for a in itertools.islice(near.black_boxes(here, j), FUNCTIONS))
+    for a in (*near.candidates(here), *functions):
         there = near.at((a,), begin.posterior.hyper, True)
         left.append(near.linear.left((a,), there.solution.step, rows))
     for j, joint in enumerate(begin.model.joints):
@@ -95,12 +103,12 @@ def unlike_laws(search: Search, begin: Fitted, some: Sequence[Event]) -> list[Ev
 
 def rows_of(data: Data, event: Event) -> np.ndarray:
     """The rows in an event."""
-    times = _times(data)
+    t = times(data)
     number = np.repeat([p.recording.file for p in data.prepared], np.diff(data.edges))
-    return np.flatnonzero((number == event.recording) & (times >= event.begin) & (times <= event.end))
+    return np.flatnonzero((number == event.recording) & (t >= event.begin) & (t <= event.end))
 
 
-def _times(data: Data) -> np.ndarray:
+def times(data: Data) -> np.ndarray:
     """Times of the rows in their files, (M,) [s]."""
     each = [p.recording.t[kept_rows(p.recording)[0][k]] for p, k in zip(data.prepared, data.kept, strict=True)]
     return np.concatenate(each)
@@ -124,24 +132,60 @@ def _slow(data: Data, error: np.ndarray) -> np.ndarray:
     return np.concatenate([median_filter(x, size, mode="nearest") for x in np.split(error, data.edges[1:-1])])
 
 
-def _stretches(data: Data, error: np.ndarray, deviation: float, least: float) -> list[np.ndarray]:
-    """Rows of each stretch in which an error (M,) stays large and peaks far above the rest."""
-    result = []
-    for first, one in zip(data.edges, np.split(error, data.edges[1:-1]), strict=False):
-        numbers = np.cumsum(np.diff(np.abs(one) > NEAR * deviation, prepend=False))
-        result += [first + np.flatnonzero(numbers == i) for i in range(1, int(numbers.max(initial=0)) + 1, 2)]
-    return [rows for rows in result if np.abs(error[rows]).max() > max(FAR * deviation, least)]
+def _stretches_of(
+    data: Data, error: np.ndarray, state: np.ndarray, at: np.ndarray, counted: np.ndarray, least: float
+) -> list[np.ndarray]:
+    """Rows of each stretch in which a joint's error (M,) is far above the rest and does not come again, or is far from what it is at
+    other times in a like state.
 
-
-def _comes_again(
-    data: Data, state: np.ndarray, error: np.ndarray, t: np.ndarray, rows: np.ndarray, counted: np.ndarray
-) -> bool:
-    """Whether the error at a stretch's peak is there at other times in a like state (4, M), or at the angle, its first row."""
-    peak = rows[np.argmax(np.abs(error[rows]))]
+    Args:
+        state: Angle, speed, acceleration and load over their deviations, (4, M).
+        at: Times in the files, and such that those of different recordings are far from each other, (2, M).
+        least: What an error has at least at its peak.
+    """
     some = np.flatnonzero(counted)
-    number = np.repeat(np.arange(len(data.edges) - 1), np.diff(data.edges))
-    other = some[(number[some] != number[peak]) | (np.abs(t[some] - t[peak]) > SLOW)]
-    if len(other) < ALIKE:
-        return False
-    near = [KDTree(x[:, other].T).query(x[:, peak], k=ALIKE)[1] for x in (state, state[:1])]
+    like, near, apart = (np.full(error.shape, x) for x in (np.nan, np.inf, np.inf))
+    like[some], near[some], apart[some] = _at_other_times(error[some], state[:, some], at[1, some])
+    other = np.where((near < CLOSE) & (apart < AGREE * np.abs(error - like)), error - like, np.nan)
+    known = (error, np.where(near < CLOSE, error - like, np.nan))
+    sizes = [1.4826 * np.nanmedian(np.abs(x[some])) if np.isfinite(x[some]).any() else 0.0 for x in known]
+    if not sizes[0] > 0:
+        return []
+    alone = np.abs(error) / sizes[0]
+    stretches = _stretches(data, alone, FAR)
+    if sizes[1] > 0:
+        unlike = np.where(np.isfinite(other), np.abs(other) / sizes[1], np.minimum(alone, FAR_FROM_LIKE))
+        taken = set(np.concatenate([np.zeros(0, int), *stretches]).tolist())
+        stretches += [rows for rows in _stretches(data, unlike, FAR_FROM_LIKE) if not taken & set(rows.tolist())]
+    large = (rows for rows in stretches if np.abs(error[rows]).max() > least)
+    return [rows for rows in large if not _comes_again(error, state, at, rows, some)]
+
+
+def _at_other_times(error: np.ndarray, state: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The median error (M,) at other times in the most alike states (4, M), how far the last of these is, and the range of the errors."""
+    far, rows = KDTree(state.T).query(state.T, k=min(NEIGHBOURS, len(t)))
+    others = np.abs(t[rows] - t[:, None]) > SLOW
+    order = np.argsort(~others, axis=1, kind="stable")[:, :ALIKE]
+    taken = np.take_along_axis(others, order, 1).all(axis=1) & (order.shape[1] == ALIKE)
+    alike = error[np.take_along_axis(rows, order, 1)]
+    last = np.take_along_axis(far, order, 1)[:, -1]
+    return np.where(taken, np.median(alike, axis=1), np.nan), np.where(taken, last, np.inf), np.ptp(alike, axis=1)
+
+
+def _stretches(data: Data, size: np.ndarray, far: float) -> list[np.ndarray]:
+    """Rows of each stretch in which an error over its deviation (M,) stays large and peaks far above the rest."""
+    result = []
+    for first, one in zip(data.edges, np.split(size, data.edges[1:-1]), strict=False):
+        numbers = np.cumsum(np.diff(one > NEAR, prepend=False))
+        result += [first + np.flatnonzero(numbers == i) for i in range(1, int(numbers.max(initial=0)) + 1, 2)]
+    return [rows for rows in result if size[rows].max() > far]
+
+
+def _comes_again(error: np.ndarray, state: np.ndarray, at: np.ndarray, rows: np.ndarray, some: np.ndarray) -> bool:
+    """Whether the error at a stretch's peak is there at other times in a like state, at the angle, its first row, or at the same time of
+    another recording."""
+    peak = rows[np.argmax(np.abs(error[rows]))]
+    other = some[np.abs(at[1, some] - at[1, peak]) > SLOW]
+    alike = (state, state[:1], at[:1])
+    near = [KDTree(x[:, other].T).query(x[:, peak], k=k)[1] for x in alike for k in (3, ALIKE) if k <= len(other)]
     return any(np.median(error[other[k]]) / error[peak] > AGAIN for k in near)

@@ -16,7 +16,7 @@ from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS, NEGLIGIBLE
 from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Effect, OfEach
 from rrr_oc.effects.base import Prior
 from rrr_oc.numerics.rank import pseudo_inverse
 
@@ -92,6 +92,11 @@ class Finding:
         may be wrong."""
         least = DISCREPANCY if self.term.effect.black_box else 0.0
         return any(f.share >= MATTERS and f.explained >= least for f in (self.fall, self.innovations) if f)
+
+    @property
+    def of_each(self) -> bool:
+        """Whether it has another value in each recording."""
+        return isinstance(self.term.effect, OfEach) and bool(self.term.effect.each)
 
     @property
     def key(self) -> Key:

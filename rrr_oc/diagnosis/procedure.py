@@ -155,7 +155,9 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     large, undecided, as_good = separated(search, complete, large, small, failed)
     findings = [*large, *small]
     folds = repeated(search, begin, findings, stages, failed)
-    if gone := [f for f in findings if f.joint in joints_made_worse(recordings, folds)]:
+    # what has a value of its own in each recording says nothing of those left out
+    judged = joints_made_worse(recordings, folds) - {f.joint for f in findings if f.of_each}
+    if gone := [f for f in findings if f.joint in judged]:
         findings, worse = [f for f in findings if f not in gone], [*worse, *gone]
         folds = repeated(search, begin, findings, stages, failed, ", less what is worse")
     kept = tuple(f.term for f in findings)

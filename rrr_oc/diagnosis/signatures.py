@@ -44,7 +44,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         high=np.maximum(high, low + 1e-3),
         speed=np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3),
         usual_speed=np.array([np.median(v[v > REST_SPEED]) if np.any(v > REST_SPEED) else REST_SPEED for v in np.abs(dq)]),
-        duration=max(float(np.ptp(p.recording.t)) for p in prepared),
+        duration=max(float(p.recording.clock[-1]) for p in prepared),
         widths=widths,
         positions=positions,
         inertia=np.maximum(np.median(inertia, axis=0), 1e-9),

@@ -47,7 +47,7 @@ class Signals:
     Attributes:
         q, dq, ddq: Joint positions [rad], speeds [rad/s], accelerations [rad/s²].
         load: Torque that the drives pass to the links (the load torque of Eq. 1) [Nm].
-        time: Time since the start of the motion [s], scalar.
+        time: Time since the start of the motion, or of the session where recordings have a common clock [s], scalar.
         payload: Mass at the tool [kg], scalar.
         states: The effect's own internal states, (number of states,).
         friction: Torque of the plain dry and viscous friction of each joint's drive [Nm].
@@ -98,7 +98,7 @@ class View:
     Attributes:
         low, high: Least and greatest position of each joint [rad], (n,).
         speed, usual_speed: Largest speed of each joint, and its median while it moves [rad/s], (n,).
-        duration: Duration of the longest recording [s].
+        duration: Time at the end of the recordings, at most [s], as `Signals.time` counts it.
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).
         inertia: Median over these positions of the inertia that each joint's drive moves, without payload [kg m²], (n,).

@@ -57,12 +57,14 @@ class OfEach(Effect):
     Attributes:
         each: Labels of the set-ups with a value of their own, after which the parameters are then called; in others it is 0. Empty:
             one value for all.
+        here: The set-up at hand, for laws of which symbols are made; by default that of the signals.
         plain_each: As `plain`, for another value in each; the parameter is the values with their recordings (`words.ByRecording`).
     """
 
     plain_each: ClassVar[str] = ""
 
     each: tuple[str, ...] = ()
+    here: str = ""
 
     def __post_init__(self) -> None:
         if self.each:
@@ -77,7 +79,17 @@ class OfEach(Effect):
 
     def value(self, signals: Signals, theta: Mapping[str, Any]) -> Any:
         """The parameter in the set-up of `signals`."""
-        return theta.get(signals.group, 0.0) if self.each else theta[self.of_all.name]
+        return theta.get(self.here or signals.group, 0.0) if self.each else theta[self.of_all.name]
+
+    def course(self, theta: Mapping[str, float]) -> str:
+        """Its values over the set-ups, in their order, in words."""
+        values, unit = [theta[label] for label in self.each], self.of_all.unit.removeprefix("1")
+        steps = np.diff(values)
+        way = ", lower each time" if np.all(steps < 0) else ", higher each time" if np.all(steps > 0) else ""
+        ends = " to ".join(
+            f"{value:+.3g} {unit}".rstrip() + f" in {label}" for value, label in zip(values, self.each, strict=True)
+        )
+        return f"from {ends}{way}"
 
     @property
     def partly(self):

@@ -18,7 +18,7 @@ class Motion:
         q, dq, ddq: Positions [rad], speeds [rad/s], accelerations [rad/s²], shape (n, K).
         payload: Mass at the tool [kg], shape (K,).
         segments: Slices of the samples that no filter, derivative or integral may cross. Default: one slice of all samples.
-        start: When the motion began [s]; None: with the first sample.
+        start: When the motion, or the session that it is part of, began [s]; None: with the first sample.
     """
 
     t: np.ndarray
@@ -35,7 +35,7 @@ class Motion:
 
     @property
     def clock(self) -> np.ndarray:
-        """Time since the motion began [s], shape (K,)."""
+        """Time since the start [s], shape (K,)."""
         return self.t - (self.t[0] if self.start is None else self.start)
 
     def of_drives(self, twist: np.ndarray) -> "Motion":

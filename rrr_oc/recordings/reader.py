@@ -47,8 +47,17 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
         _recording(folder, entry, springs, header, arm)
         for entry, springs in zip(header.recordings, read_springs(file, header), strict=True)
     )
+    loaded = _of_session(loaded)
     plausibility.check_alike({str(folder / r.file): float(np.median(np.diff(r.t))) for r in loaded})
     return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+
+
+def _of_session(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    """The recordings on the clock of their session, which files show whose times do not overlap."""
+    ordered = sorted(recordings, key=lambda r: float(r.t[0]))
+    if any(after.t[0] <= before.t[-1] for before, after in itertools.pairwise(ordered)):
+        return recordings
+    return tuple(replace(r, start=float(ordered[0].t[0])) for r in recordings)
 
 
 def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolPoint]:

@@ -279,12 +279,10 @@ def told(e: Mapping[str, Any]) -> str:
 
 
 def unexplained(u: Mapping[str, Any]) -> str:
-    """What no effect explains, in a sentence."""
+    """A torque of which no law is sure, in a sentence."""
     carried = u["description"].partition("the model carries it as ")[2]
     some = f" in {listed(some_recordings(u))}" * bool(some_recordings(u))
-    head = (
-        f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and no effect of the catalogue explains it well"
-    )
+    head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and of no law is it sure"
     like = most_like(u)
     return f"{head}{f'; the model carries it as {carried}' * bool(carried)}.{f' {like}' * bool(like)}"
 

@@ -185,8 +185,10 @@ def test_a_gas_spring_is_found_where_errors_of_the_links_explain_much_of_it():
     declared without it, and a prediction far from linear in them."""
     _, fitter, every, plain = ready(load_recordings(real("kuka_kr300") / "train"), Priors())
     near = [t for t in every if t.effect.name in ("cable_harness", "parallel_spring", "link_inertial", "torque_offset")]
+    first = fitter.begin(plain)
+    fitter, first = fitter.holding(fitter.delay_of(first), first)
     search = Search.of(fitter, [t for t in near if t.effect.joints == (1,)])
-    begin = search.scored(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
+    begin = search.scored(first)
     found = search._better(begin)
     assert np.any(begin.fitted.posterior.hyper.links > 3)
     assert found is not None

@@ -4,13 +4,15 @@ of the error each part is, and how often that is right."""
 from dataclasses import replace
 
 import chains
+import msgspec
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.diagnosis.claims.dependence import Shape, reached
 from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, features, probability, regression
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.files import diagnosis_file
+from rrr_oc.diagnosis.files.diagnosis_file import Unexplained, to_json
 from rrr_oc.diagnosis.procedure import diagnose
 
 
@@ -52,6 +54,40 @@ def test_the_parts_of_an_error_add_up_to_it(described):
     assert 0.02 < parts["seen, no law"] < 0.3
     assert 0 < parts["noise"] < 0.05
     assert abs(parts["not explained"]) < 0.05
+
+
+@pytest.fixture(scope="module")
+def dragged(tmp_path_factory):
+    """A diagnosis that names one law."""
+    (urdf := tmp_path_factory.mktemp("arm") / "arm.urdf").write_text(chains.arm(1))
+    plant, rng = Plant(urdf, np.ones(1), np.ones(1), 0.1 * np.ones(1)), np.random.default_rng(8)
+    made = [record(plant, f"{i}.csv", rng, 6.0, 0.01) for i in range(3)]
+    return diagnose(as_set(plant, [replace(r, tau=r.tau + 0.6 * r.dq * np.abs(r.dq)) for r in made]))
+
+
+@pytest.mark.parametrize(
+    ("law", "dependence", "verdict"), [(0.8, 0.9, "missing_physics"), (0.3, 0.9, "missing_physics"), (0.3, 0.2, "cannot_tell")]
+)
+def test_a_law_that_is_rather_wrong_than_right_is_told_as_what_its_torque_is_most_like(
+    dragged, monkeypatch, law, dependence, verdict
+):
+    """Probabilities are made up, of a claim that names a law and of one that tells joint and variables."""
+    monkeypatch.setattr(diagnosis_file, "probability", lambda entry, parts: law if "effect" in entry else dependence)
+    found = to_json(dragged)
+    assert found["verdict"] == verdict
+    named = [(e["effect"], e["probability"]) for e in found["effects"]]
+    if law > 0.5:
+        assert (named, found["unexplained"]) == ([("quadratic_drag", law)], [])
+        return
+    assert named == []
+    (u,) = found["unexplained"]
+    told = msgspec.convert(u, Unexplained)  # all that the file declares
+    assert (told.joint, told.depends_on, told.probability, told.recordings) == ("j1", ("dq_j1",), dependence, "all")
+    assert told.parameters == {}
+    assert told.most_like is not None
+    assert (told.most_like.effect, told.most_like.joint) == ("quadratic_drag", "j1")
+    assert told.most_like.parameters["coefficient"].value == pytest.approx(0.6, rel=0.05)
+    assert "of which no law is sure" in told.description
 
 
 def test_pushes_are_told_with_their_times_and_change_nothing(planar):

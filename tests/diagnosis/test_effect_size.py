@@ -10,11 +10,12 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.estimator import left_out
 from rrr_oc.calibration.estimator.evidence import Start
-from rrr_oc.calibration.estimator.left_out import block_edges
-from rrr_oc.diagnosis.claims.effect_size import LeftOut, confirmed, predictive
+from rrr_oc.calibration.estimator.left_out import Fall, block_edges
+from rrr_oc.diagnosis.claims.effect_size import Falls, LeftOut, confirmed, predictive, scales_load
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
@@ -120,6 +121,39 @@ def test_what_is_fast_shows_in_innovations_under_a_slow_disturbance(tmp_path):
     (f,) = predictive(LeftOut(near), findings)[0]
     assert f.innovations.low > 0.05
     assert f.innovations.share > 2 * f.fall.share
+
+
+@pytest.mark.parametrize(
+    ("error", "innovations", "otherwise", "scaling"),
+    [
+        ((0.001, -0.01, 0.012), (0.1, 0.05, 0.15), True, False),  # what scales the load scales errors of the motion, too
+        ((0.1, 0.05, 0.15), (0.001, -0.01, 0.012), True, True),
+        ((0.1, 0.05, 0.15), (0.2, 0.15, 0.25), True, True),
+        ((0.001, -0.01, 0.012), (0.001, -0.01, 0.012), False, False),
+        ((0.1, 0.05, 0.15), (-0.1, -0.15, -0.05), False, False),  # innovations that rise count always
+    ],
+)
+def test_what_scales_the_load_has_to_lower_the_error_itself(error, innovations, otherwise, scaling):
+    both = Fall(0, *error), Fall(0, *innovations)
+    assert Falls(*both).predicts == otherwise
+    assert Falls(*both).surest is max(both, key=lambda f: f.low)
+    assert Falls(*both, scales=True).predicts == scaling
+    assert Falls(*both, scales=True).surest is both[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "scales"),
+    [
+        ("torque_gain", (0,), True),
+        ("torque_gain", (), True),
+        ("payload_mass", (), True),
+        ("quadratic_drag", (0,), False),
+        ("load_dependent_friction", (0,), False),
+        ("parallel_spring", (0,), False),
+    ],
+)
+def test_gains_and_bodies_scale_the_load(name, joints, scales):
+    assert scales_load(CATALOGUE[name](joints)) == scales
 
 
 def test_sizes_are_those_of_fits_without_each(arm):

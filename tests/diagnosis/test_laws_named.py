@@ -43,7 +43,7 @@ def test_what_is_decided_by_the_past_is_said_to_be(planar):
         made.append(replace(r, tau=r.tau + 0.3 * (lsim(state, load, r.t, [load[0], 0.0])[1] - load)))
     found = diagnose(as_set(plant, made))
     content = to_json(found)
-    assert content["effects"] == []
+    assert {e["effect"] for e in content["effects"]} <= {"time_delay"}  # it is late, too
     assert all(u["depends_on"] == ["load_torque", "time"] for u in content["unexplained"])
     assert any(abs(f.term.named["frequency"] / w - 1) < 0.15 for f in found.findings if f.term.effect.name == "echo")
 

@@ -16,7 +16,6 @@ from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.recordings.recording import Recording
-from rrr_oc.report.diagnosis_words import sentence
 from rrr_oc.simulation.replay import pieces
 
 TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
@@ -101,11 +100,46 @@ def test_friction_may_be_another_in_some_recordings(planar):
         return dry * np.tanh(r.dq / plant.width) + viscous * r.dq
 
     found = diagnose(as_set(plant, with_changes(plant, rng, change, 6)))
-    assert {(f.term.effect.name, f.term.effect.joints) for f in found.findings} == {("friction_change", (0,))}
-    values = {g: f.term.values for f in found.findings for g in f.term.groups}
-    assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
-    said = sentence(to_json(found) | {"bootstrap": {}})
-    assert "lacks a torque on j1 that depends on the speed of j1 and the direction of j1 in 3 of the recordings." in said
+    terms = [f.term for f in found.findings]
+    assert {(t.effect.name, t.effect.joints, t.groups) for t in terms} == {("friction_course", (0,), ())}
+    dry, viscous = (t.values[0] for t in found.model.terms[:2])
+    for speed in (0.3, 1.0):  # by how much it is larger than in the last recording, which is as usual
+        size = {"friction": dry + viscous * speed, "dry": 1.0, "viscous": speed}
+        more = sum(size[t.effect.part] * (t.values - t.values[-1]) for t in terms)
+        np.testing.assert_allclose(more, [np.dot(truth.get(i, (0, 0)), (1, speed)) for i in range(6)], atol=0.03)
+
+
+def test_friction_that_two_recordings_have_in_common_is_a_change_of_these(planar):
+    """As of a load on a bearing that was mounted twice: what changes from recording to recording has no such course."""
+    plant, rng = planar(2), np.random.default_rng(3)
+
+    def change(i: int, r: Recording) -> np.ndarray:
+        return [[0.0], [float(i in (0, 3))]] * (0.6 * np.tanh(r.dq / plant.width) + 0.3 * r.dq)
+
+    (finding,) = diagnose(as_set(plant, with_changes(plant, rng, change, 6))).findings
+    assert (finding.term.effect.name, finding.term.effect.joints) == ("friction_change", (1,))
+    assert finding.term.groups == ("0.csv", "3.csv")
+    assert finding.term.values == pytest.approx([0.6, 0.3], abs=0.02)
+
+
+def test_friction_that_falls_from_recording_to_recording_is_one_entry(planar):
+    """As of a gear that warms up over a session whose clock nobody kept: not a change of some recordings, one beside the other."""
+    plant, rng, truth = planar(2), np.random.default_rng(4), [0.9, 0.6, 0.4, 0.25, 0.1]
+    found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: [[0.0], [truth[i]]] * r.dq)))
+    effect = found.findings[0].term.effect
+    assert (effect.name, effect.joints) == ("friction_course", (1,))
+    assert all(f.term.groups == () for f in found.findings)
+    (told,) = to_json(found)["unexplained"]
+    assert (told["joint"], told["recordings"], told["depends_on"]) == ("j2", "each", ["time", "dq_j2"])
+    ((name, viscous),) = told["parameters"].items()
+    assert (name, viscous["unit"]) == ("viscous", "Nm s/rad")
+    values = {file: one["value"] for file, one in viscous["by_recording"].items()}
+    assert list(values) == [f"{i}.csv" for i in range(5)]
+    values = np.array(list(values.values()))
+    assert np.all(np.diff(values) < 0)
+    np.testing.assert_allclose(np.diff(values), np.diff(truth), atol=0.05)  # what all have in common is plain friction
+    assert "viscous friction that changes from recording to recording" in told["description"]
+    assert "lower each time" in told["description"]
 
 
 def test_payloads_may_be_others_in_each_recording(planar):

@@ -37,6 +37,7 @@ from rrr_oc.effects import (
 from rrr_oc.effects.black_box.echo import Echo
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.black_box.friction_change import FrictionChange
+from rrr_oc.effects.black_box.friction_course import FrictionCourse
 from rrr_oc.effects.elastic.biarticular_spring import (
     HARDWARE_LIMITS,
     BiarticularSpring,
@@ -794,7 +795,7 @@ def arm():
     surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), "turned")
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
-    for kind in (Echo, FrictionChange):
+    for kind in (Echo, FrictionChange, FrictionCourse):
         by_name[kind.name] = list(kind.black_box_trials(view(prepared, model), 1, {}, "motor"))
     return model, prepared, by_name
 
@@ -822,7 +823,7 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-@pytest.mark.parametrize("name", [*SEARCHED, "echo", "empirical", "friction_change"])
+@pytest.mark.parametrize("name", [*SEARCHED, "echo", "empirical", "friction_change", "friction_course"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm

@@ -57,7 +57,7 @@ def arm():
     """A plain model of the paper's arm, its recordings with a listed spring and payload, and what they show."""
     plant = Plant("rrr", np.array([2.0, 3.0, 1.5]), np.array([3.0, 4.0, 2.0]), np.array([0.2, 0.3, 0.1]))
     rng, tool = np.random.default_rng(1), load_robot("rrr").tool.position
-    recordings = as_set(plant, [record(plant, "a.csv", rng, 6.0, pea={1: (6.0, 0.5)}, payload=2.0, tool=tool)])
+    recordings = as_set(plant, [record(plant, f"{x}.csv", rng, 6.0, pea={1: (6.0, 0.5)}, payload=2.0, tool=tool) for x in "ab"])
     start, prepared = plain_model(recordings), prepare(recordings)
     values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
     model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, values, strict=True)))

@@ -111,6 +111,31 @@ def test_defaults(write):
     assert found.recordings[0].computed == tuple(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in JOINTS)
 
 
+SESSION = {"a": 100.0, "b": 40.0, "c": 160.0}  # when files of 2 s begin [s]
+
+
+@pytest.mark.parametrize("order", ["abc", "bac", "cba"])
+def test_files_whose_times_do_not_overlap_are_on_one_clock(write, order):
+    """It begins with the first of all, in whatever order they are listed, which stays."""
+    header = ONE | {"recordings": [{"file": f"{name}.csv"} for name in order]}
+    found = load_recordings(write(header, **{name: motion(SESSION[name] + np.arange(0.0, 2.0, 0.01)) for name in order}))
+    assert [r.file for r in found.recordings] == [f"{name}.csv" for name in order]
+    assert [r.start for r in found.recordings] == [40.0] * 3
+    for name, r in zip(order, found.recordings, strict=True):
+        np.testing.assert_allclose(r.clock, SESSION[name] - 40.0 + np.arange(0.0, 2.0, 0.01), atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ["abc", "bac", "cba"])
+@pytest.mark.parametrize("other", [0.0, 1.99, 159.0])
+def test_files_whose_times_overlap_have_a_clock_each(write, order, other):
+    """One of three is enough, even by the last of its samples: times that each begin at 0 are not those of a session."""
+    begins = {"a": 0.0, "b": other, "c": 160.0}
+    header = ONE | {"recordings": [{"file": f"{name}.csv"} for name in order]}
+    found = load_recordings(write(header, **{name: motion(begins[name] + np.arange(0.0, 2.0, 0.01)) for name in order}))
+    assert [r.start for r in found.recordings] == [None] * 3
+    assert [r.clock[0] for r in found.recordings] == [0.0] * 3
+
+
 def test_robot_from_a_urdf_and_overridden(write):
     urdf = '<robot name="a"><link name="base"/><link name="arm"/><joint name="joint1" type="revolute"><parent link="base"/>'
     urdf += '<child link="arm"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="5" velocity="9"/></joint></robot>'

@@ -39,12 +39,14 @@ FOUND = {
     "torque_gain/arm": ((), (0.1,)),
     "echo": ((1,), (6.0, 0.2, -0.15, 0.1)),
     "friction_change": ((1,), (0.6, -0.4)),
+    "friction_course": ((1,), (0.8, -0.4)),
     "empirical": ((1,), (0.8, -0.5, 0.3)),
 }
 OPTIONS: dict[str, dict] = {
     "load_dependent_friction/motor": {"follows": "motor"},
     "load_dependent_friction/rotor": {"follows": "motor without friction"},
     "cable_harness/hard": {"hardens": True},
+    "friction_course": {"each": ("0.csv", "1.csv"), "part": "viscous"},
     # over the accelerations of another joint, and while its own moves upwards
     "empirical": {"variables": (("ddq", 2),), "low": (-8.0,), "high": (8.0,), "orders": (2,), "direction": "upwards"},
 }

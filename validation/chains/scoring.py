@@ -74,6 +74,8 @@ class Sealed:
         if name == "time_delay":
             return abs(self.truth["torque_late_s"]) >= 0.001
         for effect in self.truth["effects"]:
+            if is_part_of(entry, effect) and at == self.at(effect):
+                return True
             if effect["effect"] == name and (set(at) & set(self.at(effect)) or not (at and self.at(effect))):
                 return True
         if name in BODIES:
@@ -92,6 +94,14 @@ class Sealed:
         centres = [np.array(body["first_moment"]) / body["mass"] for body in (true, urdf)]
         far = abs(np.log(true["mass"] / urdf["mass"])) > SURE * 0.03 or np.abs(centres[0] - centres[1]).max() > SURE * 0.01
         return bool(far) or (bool(self.truth["off"]) and self.truth["off"]["felt_as"][link] >= SAME)
+
+
+def is_part_of(entry: Entry, effect: Entry) -> bool:
+    """Whether a ripple is one of the harmonics that the torque of a magnetic detent is made of."""
+    if (entry["effect"], effect["effect"]) != ("torque_ripple", "magnetic_detent"):
+        return False
+    harmonic = entry["parameters"]["order"]["value"] * effect["parameters"]["pitch"] / (2 * np.pi)
+    return abs(harmonic - round(harmonic)) < 0.1 and round(harmonic) >= 1
 
 
 def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:

@@ -22,6 +22,9 @@ LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimat
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
 TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
+EARLY = (
+    0.005  # [s] by which friction may change sign earlier or later than the motion turns; doubled, delays are known less well
+)
 LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
 
@@ -36,6 +39,7 @@ class Data:
         links: What is not known of the links' inertial parameters.
         free: Whether these errors may exceed the declared ones, as of a URDF; else they have the prior of links of which nothing is known.
         whole: All recordings, if these are a part of them.
+        noise: Of each joint's rows, where these are `cleared` (n,) [Nm].
     """
 
     prepared: tuple[Prepared, ...]
@@ -43,6 +47,7 @@ class Data:
     links: LinkErrors
     free: bool
     whole: tuple[Prepared, ...] = ()
+    noise: np.ndarray | None = None
     _friction: dict[tuple[Effect, float], np.ndarray] = field(default_factory=dict, repr=False)
 
     def part(self, keep: Sequence[int]) -> "Data":
@@ -89,11 +94,60 @@ class Data:
     def rows(self, model: CalibratedModel, widths: Sequence[tuple[int, ...]] = ()) -> Rows:
         """Residuals and derivatives of a model at the rows that are used, those by widths as of `regression.rows` last."""
         found = rows(self.prepared, model, True, widths)
-        return replace(found, residual=found.residual[:, self.at], jacobian=found.jacobian[:, self.at], moving=self.counted)
+        residual, jacobian = (self.cleared(x[:, self.at]) for x in (found.residual, found.jacobian))
+        return replace(found, residual=residual, jacobian=jacobian, moving=self.counted)
 
     def residual(self, model: CalibratedModel) -> np.ndarray:
         """The residual of a model at the rows that are used, (n, M)."""
-        return filtered_residuals(self.prepared, model)[:, self.at]
+        return self.cleared(filtered_residuals(self.prepared, model)[:, self.at])
+
+    def in_noise(self, sigma: np.ndarray) -> "Data":
+        """The same data, cleared for white noise of these standard deviations (n,) [Nm]."""
+        other = replace(self, noise=sigma, _friction={})
+        for name in ("features", "at", "kept", "edges", "torque", "label", "counted", "turning", "place"):
+            if name in self.__dict__:
+                other.__dict__[name] = self.__dict__[name]
+        return other
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """What `cleared` takes off each joint's rows: how torques change if friction changes sign earlier than the motion turns, (n, M).
+
+        When it does differs from arm to arm by some ms, since bearings yield, joints stick and engines smooth friction. Inertia and
+        delays would make up for that. With an unknown time of the standard deviation `EARLY`, which changes torques by a column c, and
+        white noise of the deviation σ, rows are as in white noise if they lose the share 1 − 1/√(1 + |c|²/σ²) of their part along c;
+        recording by recording, so that this holds for each by itself.
+        """
+        assert self.noise is not None
+        every = [np.array([self._early(p.recording, j) for j in range(self.n)]) for p in self.prepared]
+        found = np.concatenate([p.passed(x, range(self.n)) for p, x in zip(self.prepared, every, strict=True)], axis=1)[
+            :, self.at
+        ]
+        squares = np.array([np.sum(part**2, axis=1) for part in np.split(found, self.edges[1:-1], axis=1)]).T
+        share = 1 - 1 / np.sqrt(1 + squares / np.maximum(self.noise, 1e-12)[:, None] ** 2)
+        return found * np.repeat(np.sqrt(share / np.maximum(squares, 1e-24)), np.diff(self.edges), axis=1)
+
+    def _early(self, r: Recording, j: int) -> np.ndarray:
+        """Change of a joint's torque along a recording if its dry friction changes sign earlier by `EARLY`, (K,) [Nm]."""
+        parts = [
+            np.gradient(sign(r.dq[j, s], SIGN), r.t[s]) if s.stop - s.start > 1 else np.zeros(s.stop - s.start)
+            for s in r.segments
+        ]
+        return EARLY * self.dry[j] * np.concatenate(parts)
+
+    @cached_property
+    def dry(self) -> np.ndarray:
+        """Dry friction of each joint, as `dry_friction` has it, (n,) [Nm]."""
+        speed = np.quantile(np.abs(np.concatenate([p.recording.dq for p in self.every], axis=1)), 0.99, axis=1)
+        return dry_friction(self.start, self.torque, np.maximum(speed, 1e-3))
+
+    def cleared(self, x: np.ndarray) -> np.ndarray:
+        """Rows (n, M) or (n, M, p) less what each recording has of `turns`, if noise is given."""
+        return (
+            x
+            if self.noise is None
+            else np.array([_cleared(one, turn, self.edges) for one, turn in zip(x, self.turns, strict=True)])
+        )
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -192,6 +246,12 @@ class Data:
             every = np.concatenate([torque * shapes, friction * turned * np.array([*shapes, *slow]), late[:, j], steady])
             result.append(p.passed(every, np.full(len(every), j)).T)
         return result
+
+
+def _cleared(x: np.ndarray, turn: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Rows (M,) or (M, p) of a joint less their parts along a column (M,), recording by recording."""
+    pairs = (np.split(one, edges[1:-1]) for one in (x, turn))
+    return np.concatenate([part - np.tensordot(column, column @ part, 0) for part, column in zip(*pairs, strict=True)])
 
 
 def dry_friction(model: CalibratedModel, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:

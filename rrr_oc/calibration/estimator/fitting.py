@@ -12,6 +12,8 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
 from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, root_of_covariance, solve
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
+from rrr_oc.calibration.estimator.left_out import std_by_blocks
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import shortened
@@ -29,6 +31,7 @@ NONLINEAR = 0.01  # of the squared change over a step, by which residuals may mi
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 LINK_STEP = 100.0  # standard deviations by which one step may change an error of a link; bodies are exponential in them
 HELD = 1e-9  # standard deviation of a delay that is held [s]
+APART = CLOCK_ERROR / 3  # [s] by which delays of joints differ, whose torques one clock takes
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 CLOSER, ALIKE = (
     4,
@@ -49,6 +52,8 @@ class Fitted:
         base: Number of plain terms.
         bent: Root of the covariance by which a discrepancy bends parameters that were fitted as if there were none, (p, r); None
             where it was part of the fit.
+        by_blocks: Standard errors of the parameters (p,) from differences between blocks, and the number of blocks; None where they follow
+            from the posterior.
     """
 
     model: CalibratedModel
@@ -57,6 +62,7 @@ class Fitted:
     residual: np.ndarray
     base: int
     bent: np.ndarray | None = None
+    by_blocks: tuple[np.ndarray, int] | None = None
 
     @property
     def log_evidence(self) -> float:
@@ -77,12 +83,14 @@ class PlainFitter:
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
         farthest: Declared standard deviations by which a link of a URDF may be off at most.
         holds_delays: Whether delays of the torque stay as they are.
+        delay: About which those of all joints lie [s]; None where each lies about 0, by what is usual.
     """
 
     data: Data
     plain_std: np.ndarray
     farthest: float = field(default=np.inf, kw_only=True)
     holds_delays: bool = field(default=False, kw_only=True)
+    delay: float | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -99,14 +107,21 @@ class PlainFitter:
         return fitted
 
     def delay_of(self, fitted: Fitted) -> float:
-        """By how much the torques are late in the model that predicts best, the median over joints; 0 where no delay is in it [s].
+        """By how much the torques are late in the model that predicts best, the median over joints, each counting by how well it tells; 0
+        where no delay is in it [s].
 
         What is likeliest is decided by what is fast. There the way in which friction sticks where a joint turns looks like a delay, for
         which laws that are not there would make up elsewhere; and a law that is missing looks like a delay of its joint. One clock takes
         the torques of all joints.
         """
-        near = replace(self, holds_delays=False).closest(fitted).model
-        return float(np.median([t.values[0] for t in near.terms if isinstance(t.effect, Delay)] or [0.0]))
+        late = [i for i, t in enumerate(fitted.model.terms) if isinstance(t.effect, Delay)]
+        if not late:
+            return 0.0
+        free = replace(self, holds_delays=False, delay=None)._least_squares(fitted)
+        firsts = np.cumsum([0, *(len(t.estimates) for t in free.model.terms)])
+        values = np.array([free.model.terms[i].values[0] for i in late])
+        root = root_of_covariance(free.posterior.matrix)[firsts[late]]
+        return weighted_median(values, 1 / (np.sum(root**2, axis=1) + APART**2))
 
     def holding(self, delay: float, fitted: Fitted) -> tuple[Self, Fitted]:
         """What holds a delay of all torques, and a fit with it."""
@@ -235,14 +250,25 @@ class PlainFitter:
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
         are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
-        size, last = fitted.posterior.hyper.discrepancy, np.inf
+        about = self if self.holds_delays else replace(self, delay=self.delay_of(fitted))
+        cleared = self.data.in_noise(at_low_frequency(self.data, fitted).sigma)
+        found = replace(about, data=cleared)._least_squares(fitted)
+        of_noise = bent(found.posterior, fitted.posterior.hyper.discrepancy)
+        residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
+        whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
+        of_blocks = std_by_blocks(found.posterior)
+        return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=of_blocks)
+
+    def _least_squares(self, fitted: Fitted) -> Fitted:
+        """The fit whose noise is white, as strong as that of a fit at frequency 0, without a discrepancy."""
+        last = np.inf
         for _ in range(CLOSER):
             start = Start.of(self.data, at_low_frequency(self.data, fitted))
             fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
             if abs(fitted.log_evidence - last) < ALIKE:
                 break
             last = fitted.log_evidence
-        return replace(fitted, bent=bent(fitted.posterior, size))
+        return fitted
 
     def linearised(self, model: CalibratedModel, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The residual (n, M) of a model, and derivatives of its prediction (n, M, p).
@@ -282,9 +308,11 @@ class PlainFitter:
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
         farthest, number = np.full(k, self.farthest), np.arange(end)
         delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
-        std = np.where(delays & self.holds_delays, HELD, self.plain_std)
+        spread = HELD if self.holds_delays else self.plain_std if self.delay is None else APART
+        std = np.where(delays, spread, self.plain_std)
+        to_delay = np.where(delays & (not self.holds_delays), (self.delay or 0.0) - values[:plain], 0.0)
         return Prior(
-            mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
+            mean=np.concatenate([to_delay, mean, -links, 0 * widths]),  # of other plain terms so wide that it draws nothing
             precision=np.concatenate([std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
@@ -298,6 +326,13 @@ class PlainFitter:
         if terms:
             raise ValueError(f"no prior of {', '.join(t.effect.name for t in terms)}; a model of plain terms is required")
         return np.zeros((5, 0))
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    """The value with half of the weights at smaller ones."""
+    order = np.argsort(values)
+    shares = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(shares, shares[-1] / 2)])
 
 
 def with_form(terms: Sequence[Term], i: int, form: Effect, width: float) -> tuple[Term, ...]:

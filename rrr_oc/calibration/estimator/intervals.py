@@ -11,8 +11,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.estimator.data import order_of
 from rrr_oc.calibration.estimator.evidence import root_of_covariance
 from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
+from rrr_oc.calibration.estimator.left_out import std_by_blocks
 from rrr_oc.calibration.parameter_vector import bounds, labels, with_estimates
 from rrr_oc.calibration.samples import Prepared
+from rrr_oc.effects import Delay
 from rrr_oc.numerics import rank
 from rrr_oc.numerics.rank import condition, lengths
 from rrr_oc.robot.inertial_parameters import base_parameters, pseudo_inertia
@@ -57,7 +60,12 @@ def described(fitted: Fitted) -> CalibratedModel:
     model, counts = fitted.model, np.array([one.count for one in fitted.posterior.joints])
     std = np.sqrt(np.diag(covariance(fitted)))[: len(model.values)]
     half = [half_width(counts[list(t.effect.joints) or slice(None)].min()) for t in model.terms for _ in t.estimates]
-    return replace(with_intervals(model, std, np.array(half) * std, ~undetermined(fitted)), spread=spread(fitted))
+    by_blocks, number = fitted.by_blocks or std_by_blocks(fitted.posterior)
+    by_blocks, changes = by_blocks[: len(std)], spread(fitted)
+    wide = np.maximum(np.array(half) * std, student.ppf(0.975, number - 1) * by_blocks)
+    larger = np.maximum(std, by_blocks)
+    changes[: len(std)] *= (larger / std)[:, None]
+    return replace(with_intervals(model, larger, wide, ~undetermined(fitted)), spread=changes)
 
 
 def spread(fitted: Fitted) -> np.ndarray:
@@ -89,7 +97,11 @@ def undetermined(fitted: Fitted) -> np.ndarray:
     """
     post, size = fitted.posterior, len(fitted.model.values)
     variance, plain = np.diag(covariance(fitted, bent=False)), sum(len(t.estimates) for t in fitted.model.terms[: fitted.base])
-    left = (variance * post.prior.precision > OPEN)[:size] & (np.arange(size) < plain)
+    delays = [isinstance(t.effect, Delay) for t in fitted.model.terms for _ in t.estimates]
+    before = np.where(
+        delays, CLOCK_ERROR**-2, post.prior.precision[:size]
+    )  # of a delay before it was drawn to those of other joints
+    left = (variance[:size] * before > OPEN) & (np.arange(size) < plain)
     return left if post.data.free else left | rank.undetermined(post.likelihood)[:size]
 
 

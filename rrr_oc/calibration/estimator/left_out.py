@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from rrr_oc.calibration.estimator.data import EVERY
-from rrr_oc.calibration.estimator.evidence import Gram, Posterior, Spectrum, estimated
+from rrr_oc.calibration.estimator.evidence import Gram, Posterior, Spectrum, estimated, root_of_covariance
 from rrr_oc.calibration.samples import STRIDE
 
 BLOCK, LEAST_BLOCKS, LEAST_ROWS = 5.0, 4, 8  # length [s] of a block, number of a recording that shortens them, least rows
@@ -81,6 +81,25 @@ def squares_left_out(post: Posterior) -> np.ndarray:
         step = estimated([_gram(x[~held], y[~held]) for x, y in white], spectra, post.hyper, post.base, True).step
         left[:, held] = post.residual[:, held] - post.columns[:, held] @ step
     return np.add.reduceat(left**2, edges[:-1], axis=1).T
+
+
+def std_by_blocks(post: Posterior) -> tuple[np.ndarray, int]:
+    """Standard errors of the parameters (p,) from how the slopes of the likelihood differ between blocks of the recordings, and the number
+    of blocks; 0 with one block.
+
+    They hold where the model or its noise is not exact (White 1982, the sandwich), which the posterior does not know; from few blocks
+    they are not exact themselves.
+    """
+    edges = block_edges(post.data.edges)
+    number, slopes = len(edges) - 1, 0.0
+    for one, x, y, sigma in zip(post.joints, post.columns, post.residual, post.hyper.sigma, strict=True):
+        each = (one.white @ x) * (one.white @ y)[:, None] / sigma**2
+        slopes = slopes + np.add.reduceat(each, edges[:-1], axis=0)
+    if number < 2:
+        return np.zeros(len(post.step)), 2
+    root = root_of_covariance(post.matrix)
+    moved = (slopes - np.mean(slopes, axis=0)) @ root @ root.T
+    return np.sqrt(number / (number - 1) * np.sum(moved**2, axis=0)), number
 
 
 def _gram(x: np.ndarray, y: np.ndarray) -> Gram:

@@ -20,7 +20,7 @@ from rrr_oc.diagnosis.knobs import NAMED
 from rrr_oc.diagnosis.structures.linear import Addition, Structure
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
-from rrr_oc.effects import BlackBox
+from rrr_oc.effects import BlackBox, Delay, Signals
 
 LIKE = 2  # laws that are fitted to say what a torque is most like
 FUNCTIONS = 12  # of a joint, of different variables, that are tried, those of the largest gain
@@ -205,3 +205,55 @@ def _most_like(
 def _simplest(functions: Sequence[Shape]) -> Shape | None:
     """Of functions that explain nearly as much as the best of all that of fewest variables; else the best."""
     return min(functions, key=lambda s: (s.reach < NAMED, len(s.effect.depends_on), -s.reach), default=None)
+
+
+def variables(term: Term, n: int) -> tuple[tuple[str, int], ...]:
+    """On what a term's torque depends, of an arm of n joints, as `BlackBox.depends_on`; of a state on the motion that makes it."""
+    effect = term.effect
+    if isinstance(effect, BlackBox):
+        return effect.depends_on
+    own = effect.joints or tuple(range(n))
+    if isinstance(effect, Delay):
+        return (("time", -1),)
+    if "springs" in effect.inputs:
+        return tuple(("spring", j) for j in own)
+    if effect.side in ("body", "motion") or effect.states:
+        on = ("q", "sign") if effect.states else ("load",)
+        return tuple((kind, j) for j in own for kind in on)
+    signals = _random_signals(n)
+    torque = _torque(term, signals)
+    found = [(kind, j) for kind in ("load", "q", "ddq") for j in range(n) if _changes(term, torque, _swapped(signals, kind, j))]
+    for j in range(n):
+        times = np.where(np.arange(n) == j, 3.0, 1.0)[:, None]
+        faster = replace(signals, dq=times * signals.dq, braking=times * signals.braking)
+        if _changes(term, torque, _swapped(signals, "dq", j)):
+            found.append(("dq" if _changes(term, torque, faster) else "sign", j))
+    if _changes(term, torque, replace(signals, time=signals.time[::-1])):
+        found.append(("time", -1))
+    return tuple(found) or ((("sign", own[0]),) if effect.side == "drive" else (("time", -1),))  # of a constant the nearest
+
+
+def _random_signals(n: int) -> Signals:
+    """Signals of no motion in particular, (n, 64)."""
+    rng = np.random.default_rng(0)
+    q, ddq, load = 3 * rng.uniform(-1, 1, (3, n, 64))
+    dq = rng.choice([-1.0, 1.0], (n, 64)) * np.exp(rng.uniform(-3, 2, (n, 64)))
+    return Signals(q, dq, ddq, load, rng.uniform(0, 1, 64), np.ones(64), friction=-np.sign(dq), rotor=-ddq, braking=-dq)
+
+
+def _swapped(signals: Signals, kind: str, j: int) -> Signals:
+    """Signals with one of them in another order."""
+    values = getattr(signals, kind).copy()
+    values[j] = values[j, ::-1]
+    more = {"dq": {"friction": -np.sign(values), "braking": -values}, "ddq": {"rotor": -values}}.get(kind, {})
+    return replace(signals, **{kind: values}, **more)
+
+
+def _changes(term: Term, torque: np.ndarray, signals: Signals) -> bool:
+    return bool(np.abs(_torque(term, signals) - torque).max() > 1e-6 * np.abs(torque).max())
+
+
+def _torque(term: Term, signals: Signals) -> np.ndarray:
+    """Torque of a term on its joints, one behind the other [Nm]."""
+    torques = term.effect.torque(signals, term.named, 1e-3 if term.width is not None else None)
+    return np.concatenate([np.broadcast_to(np.asarray(x, float), 64) for x in torques])

@@ -26,26 +26,33 @@ from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.structures.linear import Addition, Level, Links, Structure
 from rrr_oc.diagnosis.structures.neighbours import SOUGHT, SURE, Neighbours, beside
 from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.effects import Effect
 
 ELSEWHERE = 1.0  # standard deviations between links from which fits may end in different optima; doubled, fewer are tried
 
 
 @dataclass(frozen=True)
 class Falls:
-    """Falls of a joint's error and of its innovations."""
+    """Falls of a joint's error and of its innovations.
+
+    Attributes:
+        scales: Whether they are of an effect that scales the torque that the motion needs. With that it scales errors of the motion,
+            which are fast, so that the innovations fall where it is not there as well, and only the error counts.
+    """
 
     error: Fall
     innovations: Fall
+    scales: bool = False
 
     @property
     def surest(self) -> Fall:
         """That whose lower end is higher."""
-        return max(self.error, self.innovations, key=lambda f: f.low)
+        return self.error if self.scales else max(self.error, self.innovations, key=lambda f: f.low)
 
     @property
     def of_torque(self) -> float:
         """The larger one, over the rms of the joint's torque."""
-        return max(self.error.of_torque, self.innovations.of_torque)
+        return self.error.of_torque if self.scales else max(self.error.of_torque, self.innovations.of_torque)
 
     def rises_by(self, share: float) -> bool:
         """Whether one of them rises by a share, and beyond chance."""
@@ -123,7 +130,8 @@ class LeftOut:
             fall_of(j, *(self._by_block(one)[there, 0] for one in pair)) for pair in ((x, y), (fast[0], fast[1]))
         )
         rms = np.sqrt(self._by_block(y)[there].sum() / max(self._count(j)[there].sum(), 1))
-        return Falls(*(replace(f, before=float(rms / data.torque[j])) for f in (error, innovations)))
+        error, innovations = (replace(f, before=float(rms / data.torque[j])) for f in (error, innovations))
+        return Falls(error, innovations)
 
     def _count(self, j: int) -> np.ndarray:
         """Rows of each block that count, (B,)."""
@@ -165,7 +173,10 @@ def predictive(left_out: LeftOut, findings: Sequence[Finding]) -> tuple[list[Fin
     def size(f: Finding) -> tuple[bool, float]:
         whole = tuple(effects[id(g)] for g in kept)
         less = tuple(a for a in whole if a is not effects[id(f)])
-        every = [left_out.falls(j, whole, less) for j in acts_on(f.term.effect, left_out.near.linear.fitter.data.n)]
+        every = [
+            replace(left_out.falls(j, whole, less), scales=scales_load(f.term.effect))
+            for j in acts_on(f.term.effect, left_out.near.linear.fitter.data.n)
+        ]
         best = max(every, key=lambda falls: falls.surest.low)
         sizes[id(f)] = best
         return best.predicts and not any(falls.rises_by(MATTERS) for falls in every), best.surest.low
@@ -210,12 +221,14 @@ def confirmed(
             more, _ = _of(search, fitted, there)
             less, _ = _of(search, more, [g for g in there if g is not f], begin)
             whole, worth = LeftOut(search.neighbours(more)), search.scored(more).score - search.scored(less).score
-            if worth > SURE and farther(less.links, more.links):  # links take up what the law explains, and are less likely to
+            residual = LeftOut(search.neighbours(less)).whole
+            falls = [whole.compared(j, whole.whole, residual, f.term.groups) for j in joints]
+            rises = any(one.share < -MATTERS for both in falls for one in (both.error, both.innovations))
+            if worth > SURE and farther(less.links, more.links) and not rises:
+                # links take up what the law explains, and are less likely to
                 every, own = tuple(whole.of(t) for t in more.extra), whole.of(more.extra[there.index(f)])
                 falls = [whole.falls(j, every, tuple(a for a in every if a is not own)) for j in joints]
-            else:
-                residual = LeftOut(search.neighbours(less)).whole
-                falls = [whole.compared(j, whole.whole, residual, f.term.groups) for j in joints]
+            falls = [replace(one, scales=scales_load(f.term.effect)) for one in falls]
             best = max(falls, key=lambda one: one.surest.low)
             new = replace(f, fall=best.error, innovations=best.innovations, worth=worth)
             kept[kept.index(f)] = new
@@ -233,6 +246,11 @@ def confirmed(
         fitted, kept = _of(search, fitted, stay, begin)
         unsure = [f for f, near in zip(kept, again, strict=True) if near]
     return fitted, sorted(kept, key=lambda f: -f.of_torque), out
+
+
+def scales_load(effect: Effect) -> bool:
+    """Whether an effect scales the torque that the motion needs, or that of the links."""
+    return effect.side in ("sensor", "body")
 
 
 def farther(one: np.ndarray, other: np.ndarray) -> bool:

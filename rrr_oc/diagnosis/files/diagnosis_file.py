@@ -10,10 +10,12 @@ from msgspec import Struct
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.link_findings import Fallen, OffLink, entries
+from rrr_oc.diagnosis.claims.dependence import variables
 from rrr_oc.diagnosis.claims.reliability import probability
 from rrr_oc.diagnosis.events import Event
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
 from rrr_oc.diagnosis.held_out import ranges
+from rrr_oc.diagnosis.knobs import LIKELY
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
@@ -262,7 +264,7 @@ class Like(Named):
 
 
 class Unexplained(Struct, forbid_unknown_fields=True):
-    """A torque that no effect of the catalogue explains well; the model carries it as an empirical term.
+    """A torque of which no law is sure; the model carries it as an empirical term, or as a law that is too often another.
 
     Attributes:
         joint: The joint it acts on.
@@ -273,6 +275,7 @@ class Unexplained(Struct, forbid_unknown_fields=True):
         log_odds: As of an effect.
         lowers_error: As of an effect.
         most_like: The law of the catalogue that comes closest; null where none comes close.
+        parameters: Where `recordings` is "each", its values by recording; else empty.
         validity: Where it holds.
         description: A sentence.
     """
@@ -285,6 +288,7 @@ class Unexplained(Struct, forbid_unknown_fields=True):
     log_odds: float
     lowers_error: Lowered
     most_like: Like | None
+    parameters: dict[str, Estimate]
     validity: tuple[Valid, ...]
     description: str
 
@@ -454,7 +458,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         link_findings: Links that are far from the URDF's in the model.
         possible: What is less probable than a claim needs.
         not_confirmed: What is as sure, but does not lower the error on data that it was not fitted to.
-        unexplained: Torques that no effect of the catalogue explains well; the model has them.
+        unexplained: Torques of which no law is sure; the model has them.
         events: Stretches of time in which nothing explains a joint's torque, such as pushes; they took no part.
         anatomy: By joint the parts of the squared error of the robot's file, on data left out; the shares add up to 1.
         idle: Joints that never moved enough to tell anything, with the torque that is left there.
@@ -510,14 +514,19 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     def likely(entry: dict[str, Any]) -> dict[str, Any]:
         return entry | {"probability": probability(entry, anatomy.get(entry["lowers_error"]["joint"], {}))}
 
+    laws = [(f, likely(_claim(diagnosis, f))) for f in diagnosis.findings if not (f.term.effect.black_box or f.with_function)]
+    doubtful = [f for f, entry in laws if entry["probability"] < LIKELY]
+    described = [f for f in diagnosis.findings if f.term.effect.black_box or f in doubtful]
+    unexplained = [likely(_unexplained(diagnosis, f)) for f in described]
+    sure = diagnosis.links or len(doubtful) < len(laws) or any(u["probability"] >= LIKELY for u in unexplained)
     found = {
         "format": FORMAT,
-        "verdict": diagnosis.verdict,
+        "verdict": diagnosis.verdict if sure or diagnosis.verdict == "nothing_missing" else "cannot_tell",
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": [
-            *(likely(_claim(diagnosis, f)) for f in diagnosis.findings if not (f.term.effect.black_box or f.with_function)),
+            *(entry for f, entry in laws if f not in doubtful),
             *(_claim(diagnosis, f) for f in diagnosis.late),
         ],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
@@ -527,7 +536,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             for p in diagnosis.possible
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
-        "unexplained": [likely(_unexplained(diagnosis, f)) for f in diagnosis.findings if f.term.effect.black_box],
+        "unexplained": unexplained,
         "events": [msgspec.to_builtins(e) for e in diagnosis.events],
         "anatomy": {j: [{"part": part, "share": x} for part, x in parts.items()] for j, parts in anatomy.items()},
         "measurement": dict(model.report.get("measurement", {})),
@@ -612,19 +621,21 @@ def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
 
 
 def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
-    effect, joints = finding.term.effect, diagnosis.model.joints
-    assert isinstance(effect, BlackBox)
-    on = [_variable(kind, j, joints) for kind, j in effect.depends_on]
-    validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
-    joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)
-    some = "" if files == "all" else f" in {', '.join(files)}"
-    laws = [f.term.effect.called() for f in diagnosis.findings if f.with_function and f.term.effect.joints == effect.joints]
+    """A torque that a function describes, or a law that is too often another."""
+    term, joints = finding.term, diagnosis.model.joints
+    on = list(dict.fromkeys(_variable(kind, j, joints) for kind, j in variables(term, len(joints))))
+    validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in term.effect.validity]
+    joint, files = joints[finding.joint], files_of(term, diagnosis.recordings)
+    some = "" if files in ("all", "each") else f" in {', '.join(files)}"
+    laws = [
+        f.term.effect.called() for f in diagnosis.findings if f.with_function and f.term.effect.joints == term.effect.joints
+    ]
     beside = f" beside {listed(laws)}" * bool(laws)
-    like = finding.like and {
-        **named(shown_as(finding.like.term), joints),
-        "parameters": _parameters(finding.like.term, diagnosis.recordings),
-        "reaches": finding.like.reach,
-    }
+    if isinstance(term.effect, BlackBox):
+        joint, said = joints[term.effect.joints[0]], term.effect.words(term.named)
+        like = finding.like and _like(diagnosis, finding.like.term, finding.like.reach)
+    else:
+        said, like = term.effect.called(), _like(diagnosis, term, 1.0 if finding.reach is None else finding.reach)
     return {
         "joint": joint,
         "depends_on": on,
@@ -634,17 +645,25 @@ def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
         "log_odds": finding.worth,
         "lowers_error": _lowered(finding, joints),
         "most_like": like,
+        "parameters": _parameters(term, diagnosis.recordings) if files == "each" else {},
         "validity": validity,
-        "description": f"a torque on {joint}{some} that depends on {' and '.join(on)} and that no effect of the catalogue explains; "
-        f"the model carries it as {effect.words(finding.term.named)}{beside}{', valid in the ranges given' if validity else ''}",
+        "description": f"a torque on {joint}{some} that depends on {' and '.join(on)} and of which no law is sure; "
+        f"the model carries it as {said}{beside}{', valid in the ranges given' if validity else ''}",
     }
+
+
+def _like(diagnosis: Diagnosis, term: Term, reach: float) -> dict[str, Any]:
+    own = named(shown_as(term), diagnosis.model.joints)
+    return {**own, "parameters": _parameters(term, diagnosis.recordings), "reaches": reach}
 
 
 def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
     if kind in ("load", "motor"):
         return "load_torque"
-    if kind == "time":
-        return "time"
+    if kind in ("time", "payload"):
+        return kind
+    if kind == "spring":
+        return "spring_torque"
     return f"sign(dq_{joints[j]})" if kind == "sign" else f"{kind}_{joints[j]}"
 
 

@@ -20,7 +20,7 @@ class FrictionChange(BlackBox):
     side = "drive"
     scope = "some"
     prior = Prior(
-        0.003,
+        0.002,
         {"dry": (0.5, "dry"), "viscous": (0.5, "dry/speed")},
         "Bittencourt & Gunnarsson 2012: by temperature and grease; the catalogue comes first",
     )

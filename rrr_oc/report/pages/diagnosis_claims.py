@@ -33,7 +33,7 @@ class Claim:
 
 
 def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
-    """The claims of a diagnosis, most important first, then what no effect explains.
+    """The claims of a diagnosis, most important first, then torques of which no law is sure.
 
     Args:
         files: All recordings.
@@ -41,7 +41,7 @@ def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
     return [
         *(_claim(say.placed(e), say.told(e), e, found, files) for e in say.missing(found)),
         *(
-            _claim(f"torque on {joint_words(u['joint'])} that no effect explains", say.unexplained(u), u, found, files)
+            _claim(f"torque on {joint_words(u['joint'])}, of no sure law", say.unexplained(u), u, found, files)
             for u in found["unexplained"]
         ),
     ]
