@@ -41,6 +41,7 @@ from rrr_oc.codesign.springs import offered, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.commands.shared import Jobs, Workers
+from rrr_oc.data.published import published
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
@@ -48,7 +49,6 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
-from rrr_oc.paper.published import published
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet

@@ -5,7 +5,7 @@ from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.optimal_control.refinement import Refinement
-from rrr_oc.paper.evolution import Protocol
+from studies.paper.evolution import Protocol
 
 TASK = load_task("paper")
 SMALL = Protocol("analytic", generations=150, population=12, every=3)

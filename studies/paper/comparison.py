@@ -9,10 +9,10 @@ import numpy as np
 
 from rrr_oc.codesign.optimum import describe
 from rrr_oc.codesign.task import Speed, load_task
-from rrr_oc.paper.encoding import WEIGHT, Encoding
-from rrr_oc.paper.experiments import ENDS, EXPERIMENTS, candidate_motion, experiment, roles
-from rrr_oc.paper.run_store import Run, all_runs
-from rrr_oc.paper.statistics import compare, rank
+from studies.paper.encoding import WEIGHT, Encoding
+from studies.paper.experiments import ENDS, EXPERIMENTS, candidate_motion, experiment, roles
+from studies.paper.run_store import Run, all_runs
+from studies.paper.statistics import compare, rank
 
 WAYS = {
     "evolution-engine": "evolution, MuJoCo",

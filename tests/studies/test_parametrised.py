@@ -6,10 +6,10 @@ from scipy.optimize import minimize
 
 from rrr_oc.codesign.search.proposals import motion_guess
 from rrr_oc.codesign.task import load_task
-from rrr_oc.paper.encoding import Analytic, Encoding
-from rrr_oc.paper.experiments import experiment
-from rrr_oc.paper.fixed_motion import _exact, _sampled, best_springs
-from rrr_oc.paper.parametrised import RestrictedDesign, proposals
+from studies.paper.encoding import Analytic, Encoding
+from studies.paper.experiments import experiment
+from studies.paper.fixed_motion import _exact, _sampled, best_springs
+from studies.paper.parametrised import RestrictedDesign, proposals
 
 TASK = load_task("paper")
 

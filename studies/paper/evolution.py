@@ -17,9 +17,9 @@ import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.errors import UserError
-from rrr_oc.paper.encoding import VIA, Analytic, Encoding, Scores
-from rrr_oc.paper.engine_population import STEPS, Engine
-from rrr_oc.paper.run_store import Run
+from studies.paper.encoding import VIA, Analytic, Encoding, Scores
+from studies.paper.engine_population import STEPS, Engine
+from studies.paper.run_store import Run
 
 Where = Literal["engine", "analytic"]
 FINE_NODES, FINE_STEPS = 40, 960  # nodes an interval and engine steps a phase with which the best candidate is evaluated

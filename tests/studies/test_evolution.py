@@ -14,16 +14,16 @@ import pytest
 from small_searches import LABELS, SMALL, TASK, numbers
 
 from rrr_oc.errors import UserError
-from rrr_oc.paper.encoding import Analytic, Encoding
-from rrr_oc.paper.evolution import evolve
-from rrr_oc.paper.experiments import experiment, run_evolution
-from rrr_oc.paper.run_store import Run
+from studies.paper.encoding import Analytic, Encoding
+from studies.paper.evolution import evolve
+from studies.paper.experiments import experiment, run_evolution
+from studies.paper.run_store import Run
 
 TRIAL = """
 import sys
 from pathlib import Path
-from rrr_oc.paper.evolution import Protocol
-from rrr_oc.paper.experiments import run_evolution
+from studies.paper.evolution import Protocol
+from studies.paper.experiments import run_evolution
 labels = {labels!r}
 run_evolution(Path(sys.argv[1]), labels, {protocol!r}, 3)
 """

@@ -18,9 +18,9 @@ import numpy as np
 
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
-from rrr_oc.paper.encoding import Candidates, Encoding, Scores, load_torque, scores
 from rrr_oc.simulation.engine_model import Controller, Settings, Twin, controller, twin
 from rrr_oc.simulation.rollout import State, Workers, roll_out
+from studies.paper.encoding import Candidates, Encoding, Scores, load_torque, scores
 
 STEPS = 144  # a phase: E1 within 0.2 % (0.1 % on average) of its limit, and stable at 5 s a phase
 

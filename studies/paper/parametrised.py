@@ -17,7 +17,7 @@ from rrr_oc.codesign.task import PHASES
 from rrr_oc.numerics import akima
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options
-from rrr_oc.paper.encoding import NODES, Analytic, Encoding, Scores, excesses
+from studies.paper.encoding import NODES, Analytic, Encoding, Scores, excesses
 
 PATH_WIDTHS = (0.1, 0.01, 0.001)  # smoothing widths of Akima's weights [rad], one solve after the other
 SPRING_WIDTHS = (0.1, 0.02, 0.003)  # smoothing widths of the springs [rad], along with those

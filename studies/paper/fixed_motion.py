@@ -13,7 +13,7 @@ from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import PhaseGuess
 from rrr_oc.optimal_control.solver import Options
-from rrr_oc.paper.encoding import load_torque
+from studies.paper.encoding import load_torque
 
 SAMPLES = 400  # midpoints of the quadrature of a phase
 WIDTHS = (0.3, 0.1, 0.03, 0.01, 0.003)  # smoothing widths of the springs [rad], one solve after the other

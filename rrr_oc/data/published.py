@@ -1,4 +1,4 @@
-"""The paper's Tables 2 to 4, read from `data/paper_results.json`, where they are typed once."""
+"""The paper's Tables 2 to 4, read from `paper_results.json`, where they are typed once."""
 
 import importlib.resources
 import json

@@ -21,13 +21,13 @@ from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, motion_guess
 from rrr_oc.codesign.search.starts import Start
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import PHASES, Speed, Task, load_task
+from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError
-from rrr_oc.paper.encoding import Encoding, load_torque
-from rrr_oc.paper.evolution import Protocol, evolve
-from rrr_oc.paper.fixed_motion import best_springs
-from rrr_oc.paper.parametrised import RestrictedDesign, proposals
-from rrr_oc.paper.published import published_springs
-from rrr_oc.paper.run_store import Run
+from studies.paper.encoding import Encoding, load_torque
+from studies.paper.evolution import Protocol, evolve
+from studies.paper.fixed_motion import best_springs
+from studies.paper.parametrised import RestrictedDesign, proposals
+from studies.paper.run_store import Run
 
 EXPERIMENTS = ("SA", "PEA", "BPEA", "PEA+BPEA", "PEA*", "BPEA*", "PEA+BPEA*")
 ENDS: tuple[Speed, ...] = ("rest", "free")

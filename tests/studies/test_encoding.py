@@ -12,10 +12,10 @@ from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
-from rrr_oc.paper.encoding import WEIGHT, Analytic, Encoding
-from rrr_oc.paper.engine_population import Engine
-from rrr_oc.paper.experiments import candidate_motion, experiment
 from rrr_oc.robot.rigid_body import rigid_body, with_payload
+from studies.paper.encoding import WEIGHT, Analytic, Encoding
+from studies.paper.engine_population import Engine
+from studies.paper.experiments import candidate_motion, experiment
 
 TASK = load_task("paper")
 RNG = np.random.default_rng(5)

@@ -7,9 +7,9 @@ import numpy as np
 
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
-from rrr_oc.paper.comparison import EVOLVED, FREE_MOTION, WAYS, best_of, evolved_of
-from rrr_oc.paper.experiments import EXPERIMENTS
 from rrr_oc.report.tables import SPRINGS, markdown, table_3, table_4
+from studies.paper.comparison import EVOLVED, FREE_MOTION, WAYS, best_of, evolved_of
+from studies.paper.experiments import EXPERIMENTS
 
 
 def tables(summary: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rrr_oc.errors import UserError
-from rrr_oc.paper.statistics import compare, holm, rank
+from studies.paper.statistics import compare, holm, rank
 
 LOW, HIGH = list(range(10)), list(range(10, 20))
 

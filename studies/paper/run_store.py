@@ -8,13 +8,23 @@ shared file system.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.storage import code, read_npz, read_utf8, write_json, write_npz
+from rrr_oc.storage import code, hash_of, read_npz, read_utf8, write_json, write_npz
+
+SHOWN_BY = "comparison*.py"  # files of this folder that sum up and show runs, and make none
+
+
+@cache
+def all_code() -> str:
+    """A hash of what runs depend on: the code of the package and of this folder."""
+    here = Path(__file__).parent
+    return f"{code()} {hash_of(sorted({*here.glob('*.py')} - {*here.glob(SHOWN_BY)}))}"
 
 
 @dataclass(frozen=True)
@@ -29,7 +39,7 @@ class Run:
 
     folder: Path
     asked: Mapping[str, Any]
-    code: str = field(default_factory=code)
+    code: str = field(default_factory=all_code)
 
     @property
     def found(self) -> dict[str, Any] | None:
