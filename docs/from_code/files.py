@@ -1,6 +1,6 @@
 """Reference pages of the files that users write or get, made from the structures that read them.
 
-`python -m rrr_oc.report.reference.files [FOLDER]` writes them, by default to docs/reference; a test holds that they are current.
+`python -m docs.from_code.files [FOLDER]` writes them, by default to docs/reference; a test holds that they are current.
 """
 
 import inspect

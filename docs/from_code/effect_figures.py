@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from docs.from_code.examples import Example, followed
 from rrr_oc.report.figures import plt
-from rrr_oc.report.reference.examples import Example, followed
 
 TEXT = "#0a0b0c"  # stands for the colour of the page's text, light or dark
 COLOURS = ("#3b86c8", "#e07b28", "#56a35a", "#a06fc9")  # legible on white and on black

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from recorded import Plant
 
+from docs.from_code import effects
+from docs.from_code.examples import ARMATURE, DRY, PAYLOAD, SPRING, VISCOUS, Example, example, followed
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.base import SOUGHT, View
-from rrr_oc.report.reference import effects
-from rrr_oc.report.reference.examples import ARMATURE, DRY, PAYLOAD, SPRING, VISCOUS, Example, example, followed
 from rrr_oc.robot.robot import load_robot
 
 PAGES = effects.pages()

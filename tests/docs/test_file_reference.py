@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs.from_code.files import COLUMNS, pages
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
-from rrr_oc.report.reference.files import COLUMNS, pages
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.schema import parsed, without_comments
 from rrr_oc.storage import write_csv
@@ -26,7 +26,7 @@ PAGES = pages()
 
 def test_the_committed_pages_are_current():
     found = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.md")}
-    assert found == PAGES, "python -m rrr_oc.report.reference.files writes them anew"
+    assert found == PAGES, "python -m docs.from_code.files writes them anew"
 
 
 @pytest.mark.parametrize("name", PAGES)

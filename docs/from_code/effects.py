@@ -7,11 +7,11 @@ import inspect
 import re
 import sys
 
+from docs.from_code.effect_figures import AXES, svg
+from docs.from_code.examples import DRY, PAYLOAD, VISCOUS, Example, example, followed
 from rrr_oc.effects import CATALOGUE, DesignSpring, Effect, ExportTwin, ListedSpring
 from rrr_oc.effects.base import PARTLY, PLACEMENTS, SIDES, SOUGHT
 from rrr_oc.effects.words import listed, words
-from rrr_oc.report.reference.effect_figures import AXES, svg
-from rrr_oc.report.reference.examples import DRY, PAYLOAD, VISCOUS, Example, example, followed
 from rrr_oc.robot.parameters import Parameter
 
 ELSEWHERE = "other packages"
