@@ -19,7 +19,7 @@ from rrr_oc.excitation.design import Search, excite
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import information, model_sensitivity
 from rrr_oc.excitation.limits import Limits, Rig, robot_limits
-from rrr_oc.excitation.sweeps import times
+from rrr_oc.excitation.times import times
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring

@@ -13,7 +13,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import Information
 from rrr_oc.excitation.limits import UNITS, PathLimits, Rig, signals, states_within
-from rrr_oc.excitation.sweeps import STEP, times
+from rrr_oc.excitation.times import STEP, times
 from rrr_oc.model.motion import Motion
 from rrr_oc.parallel import once_per_process, unordered
 

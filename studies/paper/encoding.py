@@ -20,8 +20,8 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
-from rrr_oc.numerics import akima
 from rrr_oc.numerics.along import along
+from studies.paper import akima
 
 VIA = 5  # path points per phase and joint in the paper
 # [1] of the range from start to release by which the region of initial path points is wider, as in the authors' code

@@ -16,13 +16,15 @@ import numpy as np
 from rrr_oc.codesign.certificate import exact_cost
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
-from rrr_oc.codesign.search.multistart import solve_multistart, starts_to_reach
-from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, motion_guess
-from rrr_oc.codesign.search.starts import Start
+from rrr_oc.codesign.search.local_optima import follow_to_fine_mesh
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, dimensions, motion_guess, sobol_points
+from rrr_oc.codesign.search.starts import Polisher, Start, polish
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import PHASES, Speed, Task, load_task
 from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.solver import Solution
 from studies.paper.encoding import Encoding, load_torque
 from studies.paper.evolution import Protocol, evolve
 from studies.paper.fixed_motion import best_springs
@@ -137,6 +139,24 @@ def run_restricted(store: Path, labels: Mapping[str, Any], starts: int, seed: in
     }
     run.finish(found, {"core_s": columns[0], "polished": columns[1]})
     return labels, found
+
+
+def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:
+    """Solve from one Sobol point after the other, each on the fine mesh with the smallest smoothing width, until one costs no more
+    than `target`.
+
+    Returns:
+        The number of starts, and the solution; None where `options.starts` were not enough.
+    """
+    polisher = Polisher(design, options)
+    for index, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed)):
+        start = polish(*polisher.proposal(LAYERS[0], vector, index))
+        if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs change the cost by far less
+            continue
+        found = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
+        if found is not None and found.cost <= target:
+            return index + 1, found.solution
+    return options.starts, None
 
 
 def run_race(store: Path, labels: Mapping[str, Any], target: float, starts: int, seed: int):

@@ -14,9 +14,9 @@ import numpy as np
 
 from rrr_oc.codesign.search.proposals import dimensions, proposed_guess, sobol_points
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.numerics import akima
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options
+from studies.paper import akima
 from studies.paper.encoding import NODES, Analytic, Encoding, Scores, excesses
 
 PATH_WIDTHS = (0.1, 0.01, 0.001)  # smoothing widths of Akima's weights [rad], one solve after the other

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import Akima1DInterpolator
 
-from rrr_oc.numerics.akima import cubics, extremes, motion, slopes
+from studies.paper.akima import cubics, extremes, motion, slopes
 
 RNG = np.random.default_rng(3)
 S = np.linspace(0, 1, 401)

@@ -9,15 +9,13 @@ import numpy as np
 
 from rrr_oc.effects import listed_springs
 from rrr_oc.errors import UserError
+from rrr_oc.excitation.times import STEP, times
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.importers.prototype import PAYLOAD, SPRINGS
 from rrr_oc.recordings.recording import Recording
 
 Direction = Literal["rising", "falling"]
-
-STEP = 0.01  # default sampling of a planned recording [s]
-MOST = 1_000_000  # samples of a motion; doubled, a file of seven joints has 800 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +111,3 @@ def protocol(
         for mass in (payload, 0.0)
         for mounted in (springs, ())
     )
-
-
-def times(duration: float, step: float) -> np.ndarray:
-    """Sampling times from 0 to the duration [s]; raises `UserError` for a step that is not within it, or more than `MOST` of them."""
-    if not 0 < step <= duration:
-        raise UserError(f"the sampling step must be above 0 and at most the duration, {duration:g} s, got {step:g} s")
-    if duration / step >= MOST:
-        raise UserError(
-            f"a motion of {duration:g} s has more than {MOST} samples of {step:g} s; at most {MOST * step:g} s are allowed"
-        )
-    return np.linspace(0, duration, round(duration / step) + 1)
