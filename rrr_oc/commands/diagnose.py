@@ -127,17 +127,17 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         for row in body:
             table.add_row(*row)
         output.show(table)
-    lines = [
-        *told.events(found),
-        *told.undecided(found),
-        *told.off_links(found),
-        *told.measured(found),
-        *told.on_prior(found),
-        *told.idle(found),
-        *told.not_claimed(found),
-        *told.not_made(found),
-    ]
-    for line in told.unsaid(lines, said):
+    parts = (
+        told.events,
+        told.undecided,
+        told.off_links,
+        told.measured,
+        told.on_prior,
+        told.idle,
+        told.not_claimed,
+        told.not_made,
+    )
+    for line in told.unsaid([line for part in parts for line in part(found)], said):
         output.show(line)
     errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
     errors.title = "Error held out, of the torque's standard deviation"

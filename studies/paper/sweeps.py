@@ -9,7 +9,7 @@ import numpy as np
 
 from rrr_oc.effects import listed_springs
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.times import STEP, times
+from rrr_oc.excitation.design import STEP, times
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.importers.prototype import PAYLOAD, SPRINGS

@@ -7,7 +7,7 @@ import designs
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
-from smooth_motions import smooth_motion
+from small_searches import smooth_motion
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from commands import heeds_ctrl_c
+from commands import rrr_oc as run
 from prototype import write_prototype
 from recorded import Plant, as_set, real, record
 from threadpoolctl import threadpool_info
@@ -39,14 +40,6 @@ def folder(tmp_path_factory) -> Path:
             cli.main()
     assert ended.value.code == 0
     return folder
-
-
-def run(monkeypatch, *arguments) -> int:
-    """Exit status of the command."""
-    monkeypatch.setattr(sys, "argv", ["rrr-oc", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
 
 
 def files(folder: Path) -> dict[Path, bytes]:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from smooth_motions import smooth_motion
+from small_searches import smooth_motion
 
 from rrr_oc.errors import UserError
 from rrr_oc.robot.drives import load_actuators
