@@ -649,6 +649,7 @@ def _search(
 def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
     limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
+    limits += "".join(f"; springs' {key} {value:g}" for key, value in task.spring_limits.of_design.items())
     return UserError(
         f"no motion of task {task.name!r} was found within its limits ({limits}; "
         f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"

@@ -32,9 +32,12 @@ LEFT_OPEN = (
     "that the recordings do not tell from it."
 )
 ORDERS = (
-    "Wire of round section: music wire up to 6.5 mm, chrome-vanadium wire above. The coil is the mean diameter, the size the outside diameter "
-    "and the greatest length in use, with hooks. The slack angle is that of the joint, or of the pulley r_1 of a cable across two joints; "
-    "the deflection is counted from there. Tolerances are those of quality 2. The masses do not act on the arm."
+    "An extension or compression spring is pulled by a cable on a pulley of that radius. Wire is music wire up to 6.5 mm and chrome-vanadium "
+    "wire above; the coil is the mean diameter, the size the outside diameter and the greatest length in use, with hooks. The slack angle is "
+    "that of the joint, or of the pulley r_1 of a cable across two joints; the deflection is counted from there. Tolerances are those of "
+    "quality 2. A torsion spring would touch a rod of the diameter given. An extension spring is wound with the initial tension given, or "
+    "with gaps and none, where its cable gets slack or carries little. Compression springs need a rod or a tube. The masses do not act on "
+    "the arm."
 )
 MOTION = ("torque", "spring", "angle", "speed")  # figures of the page
 CERTIFICATES = "Certificates"  # the title from which on the command shows no more
@@ -304,9 +307,10 @@ def order_table(c: Configuration) -> Table:
         "wire × coil [mm] × coils",
         "size [mm]",
     ]
-    rows = []
+    rows, before = [], ""
     for p in c.parts:
-        cells = [say.placed(p.label), say.make(p), *say.of_load(p), f"{p.energy_J:.3g}"]
+        named, before = "" if p.label == before else say.placed(p.label), p.label
+        cells = [named, say.make(p), *say.of_load(p), f"{p.energy_J:.3g}"]
         wound = f"{1e3 * p.d_m:g} × {1e3 * p.D_m:.1f} × {p.coils:.2f}"
         size = f"{1e3 * p.outside_m:.0f} × {1e3 * p.length_m:.0f}"
         rows.append([*cells, wound, size, f"{p.mass_kg:.3f}", say.weakest(p), say.remarks(p)])

@@ -207,13 +207,25 @@ def part_limits(limits: SpringLimits) -> str:
         f"Each spring as a part, in every way to make it, the lightest that can be built first. The wire has a safety of {limits.safety:g} or "
         f"more against a permanent set and over {limits.cycles:g} cycles. A spring is at most {limits.outside_mm:g} mm wide and "
         f"{limits.length_mm:g} mm long in use, and its coil {limits.index[0]:g} to {limits.index[1]:g} times as wide as its wire."
+        f"{_of_design(limits)}"
     )
+
+
+def _of_design(limits: SpringLimits) -> str:
+    """What of the springs was limited while they were designed."""
+    told = {
+        "torque_Nm": "a torque of {:g} Nm",
+        "turn_deg": "a turn of {:g}°",
+        "force_N": "a cable force of {:g} N",
+        "energy_J": "{:g} J",
+    }
+    some = [told[key].format(value) for key, value in limits.of_design.items()]
+    return f" Limits of the design were {listed(some)}." if some else ""
 
 
 def make(part: Part) -> str:
     """How a spring is made and mounted."""
-    where = "" if part.pulley_m is None else f", cable on a pulley of {1e3 * part.pulley_m:.3g} mm"
-    return f"{part.make} spring{where}"
+    return part.make if part.pulley_m is None else f"{part.make}, pulley {1e3 * part.pulley_m:.3g} mm"
 
 
 def of_load(part: Part) -> list[str]:
@@ -244,14 +256,10 @@ def remarks(part: Part) -> str:
     if part.why_not:
         return f"cannot be built: {listed(part.why_not)}"
     if part.rod_m is not None:
-        return f"on a rod of less than {1e3 * part.rod_m:.0f} mm"
+        return f"rod below {1e3 * part.rod_m:.0f} mm"
     if part.initial_tension_N is None:
-        return "closed and ground ends, in a tube or on a rod"
-    return (
-        f"wound with {part.initial_tension_N:.3g} N"
-        if part.initial_tension_N
-        else "wound with gaps, as it must not pull when slack"
-    )
+        return "closed, ground ends"
+    return f"wound with {part.initial_tension_N:.3g} N" if part.initial_tension_N else "wound with gaps"
 
 
 def _turned(joints: Sequence[str], signs: Sequence[int]) -> str:

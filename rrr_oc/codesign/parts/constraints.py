@@ -9,7 +9,7 @@ import numpy as np
 
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.springs import SpringBounds
-from rrr_oc.effects import DesignSpring, LinkSpring
+from rrr_oc.effects import DesignSpring
 from rrr_oc.effects.base import Signals
 
 
@@ -35,16 +35,14 @@ def limited(
 ) -> list[Limited]:
     """What the limits bound of a spring at positions and parameters, numbers or casadi's; nothing of one that no limit is for."""
     effect = spring.effect
-    if spring.known or not isinstance(effect, LinkSpring) or not isinstance(effect, DesignSpring):
-        return []
-    stretch = effect.stretch(signals, theta)
+    stretch = effect.stretch(signals, theta) if isinstance(effect, DesignSpring) and not spring.known else None
     if stretch is None:
         return []
     amplitude, cable = theta[effect.amplitudes[0]], spring.form.inverse_radii([*theta.values()], spring.hardware, spring.fixed)
-    turn = None if limits.turn_deg is None or cable else float(np.radians(limits.turn_deg))
-    bounded = [("torque", amplitude * stretch * lever, limits.torque_Nm, "Nm") for lever in map(abs, effect.lever(theta))]
+    turn = None if limits.turn_deg is None else float(np.radians(limits.turn_deg))
+    bounded = [("torque", amplitude * stretch, limits.torque_Nm, "Nm"), ("turn", stretch, turn, "rad")] * (not cable)
     bounded += [("cable force", amplitude * stretch * inverse, limits.force_N, "N") for inverse in cable]
-    bounded += [("turn", stretch, turn, "rad"), ("energy", amplitude * ca.fmax(stretch, 0) ** 2 / 2, limits.energy_J, "J")]
+    bounded += [("energy", amplitude * ca.fmax(stretch, 0) ** 2 / 2, limits.energy_J, "J")]
     return [
         Limited(f"{what} of the {label}", value / limit, limit, unit)
         for what, value, limit, unit in bounded

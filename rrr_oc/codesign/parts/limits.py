@@ -17,8 +17,8 @@ class SpringLimits(Schema, frozen=True):
     limits of the parts that are worked out for what was designed.
 
     Attributes:
-        torque_Nm: Greatest torque of a spring on a joint.
-        turn_deg: Greatest turn of a spring in parallel with a joint, from its equilibrium.
+        torque_Nm: Greatest torque of a spring in parallel with a joint.
+        turn_deg: Greatest turn of such a spring from its equilibrium.
         force_N: Greatest force in the cable of a spring across two joints.
         energy_J: Greatest energy that a spring stores.
         safety: Least safety of the wire's stress, against a permanent set and over the cycles [1].
@@ -41,6 +41,12 @@ class SpringLimits(Schema, frozen=True):
     index: Interval = (4.0, 12.0)
     coils: Positive = 3.0
     pulley_mm: Interval = (14.0, 40.0)
+
+    @property
+    def of_design(self) -> dict[str, float]:
+        """The limits of motion and springs that there are, by key."""
+        keys = ("torque_Nm", "turn_deg", "force_N", "energy_J")
+        return {key: value for key in keys if (value := getattr(self, key)) is not None}
 
     def __post_init__(self) -> None:
         check_interval("index", self.index)
