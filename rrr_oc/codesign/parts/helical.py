@@ -40,9 +40,7 @@ class Helical:
     D: np.ndarray
     n: np.ndarray
 
-    turns: ClassVar[bool] = (
-        False  # whether it is twisted, its rate [Nm/rad] and its load [Nm]; else pulled or pressed, [N/m], [N]
-    )
+    turns: ClassVar[bool] = False  # whether it is twisted: its rate in [Nm/rad], its load in [Nm]; else [N/m], [N]
     overload: ClassVar[float] = 1.0  # load that it must stand once, over the greatest one in use
 
     @classmethod

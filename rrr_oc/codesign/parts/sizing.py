@@ -12,7 +12,7 @@ from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.wire import steel, wire
 
 Make = Literal["torsion", "extension", "compression"]
-INDICES = 200  # that are tried for each wire; doubled, springs get lighter by less than 1 %
+INDICES = 200  # that are tried for each wire; doubled, springs get lighter by 1 % at most
 HARDLY = 1.05  # [1] of the least mass, within which the smaller spring is better; doubled, springs are smaller and heavier
 ROUNDED = 1e-4  # [m] to which the diameter of a coil is rounded
 
