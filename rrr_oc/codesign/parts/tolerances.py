@@ -1,8 +1,9 @@
 """How far a spring that is wound may be off, in the middle one of three grades of quality.
 
 The formulae are those of EN 15800 (compression springs) and DIN 2194 (torsion springs) as the free program SpringONE by M. Caruso has
-them; they were not compared with the standards themselves. DIN 2097 (extension springs) gives diagrams: EN 15800 stands in for it. Both
-say by how much the load may be off, no standard does so for the rate. Lengths within are in mm.
+them; they were not compared with the standards themselves. It has k_F with either sign of its first term, which matters little from 4
+coils on; the minus is taken. DIN 2097 (extension springs) gives diagrams: EN 15800 stands in for it. The formulae say by how much loads and
+angles may be off; the rate's tolerance is derived here. Lengths within are in mm.
 """
 
 import numpy as np
