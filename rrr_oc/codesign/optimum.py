@@ -152,10 +152,12 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
 def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, tuple[float, float]]:
     """Least and greatest deflection of each helical spring of a design along a motion (`DesignSpring.stretch`) [rad], by its label; 0
     where it is slack."""
-    found, values, signals = {}, design.model.values(parameters), Signals(design.task.full(motion.q))
+    found, values, q = {}, design.model.values(parameters), design.task.full(motion.q)
     for effect in (spring.effect for spring in design.springs if not spring.known):
-        label = design.model.label(effect)
-        stretch = effect.stretch(signals, values[label]) if isinstance(effect, DesignSpring) else None
+        label, acts = design.model.label(effect), np.ones(len(motion.t), bool)
+        if isinstance(effect, Clutched):  # in the other phase it is held as it is
+            acts = motion.phase == PHASES.index(effect.phase)
+        stretch = effect.stretch(Signals(q[:, acts]), values[label]) if isinstance(effect, DesignSpring) else None
         if stretch is not None:
             found[label] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
     return found

@@ -19,8 +19,9 @@ from rrr_oc.codesign.parts.tolerances import tolerances
 from rrr_oc.codesign.parts.wire import steel, wire
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
-from rrr_oc.codesign.springs import spring_bounds
+from rrr_oc.codesign.springs import arrangements, spring_bounds
 from rrr_oc.codesign.task import TaskFile, load_task, task_of
+from rrr_oc.effects import Clutched
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Solver
@@ -180,6 +181,23 @@ def test_order_list_of_bpea_by_hand():
         2 * (hook.D_m - hook.d_m) + (hook.coils + 1) * hook.d_m + most * 0.036
     )  # without initial tension
     assert hook.initial_tension_N == 0  # the cable gets slack, and must not pull then
+
+
+def test_a_clutched_spring_turns_in_its_own_phase_alone():
+    task = load_task("further_springs")
+    design = CoDesign(task, arrangements(task, "CBPEA")[0])
+    (spring,) = design.springs
+    assert isinstance(spring.effect, Clutched)
+    p = (spring.lower + spring.upper) / 2
+    q = np.array([[0.5, 1.0, 0.5, 0.0], [-2.0, -1.5, -2.5, -2.9]])
+    zero, phase = np.zeros_like(q), np.array([0, 0, 1, 1])
+    motion = SampledMotion(
+        np.arange(4.0), q, zero, zero, tau_load=zero, tau_spring=zero, phase=phase, payload=phase, twist=zero
+    )
+    ((least, greatest),) = turns(design, motion, p).values()
+    own = q[:, phase == ("go", "return").index(spring.effect.phase)]
+    stretch = np.maximum(-own[0] - p[1] * own[1] - p[2], 0)
+    assert (least, greatest) == pytest.approx((stretch.min(), stretch.max()))
 
 
 # ---- sizing ----------------------------------------------------------------------------------------------------------------------------
