@@ -9,9 +9,9 @@ SIDE_BY_SIDE = -n logical --dist loadfile --no-loadscope-reorder -p no:benchmark
 BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp rrr_oc/numerics/_stepping.cpp \
   rrr_oc/calibration/estimator/_evidence.cpp
 # A short part of the tests that touches every dependency.
-SHORT = $(addprefix tests/,numerics/test_akima.py robot/test_robot.py robot/test_rigid_body.py codesign/test_task.py \
+SHORT = $(addprefix tests/,numerics/test_rank.py robot/test_robot.py robot/test_rigid_body.py codesign/test_task.py \
   effects/test_effects.py recordings/test_recordings.py recordings/test_importers.py commands/test_cli.py model/test_metrics.py \
-  optimal_control/test_solver.py simulation/test_rollout.py paper/test_evolution.py)
+  optimal_control/test_solver.py simulation/test_rollout.py studies/test_evolution.py)
 
 .PHONY: study test coverage test-lowest docs lint wheel
 study: $(VENV)/installed

@@ -12,9 +12,6 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any, TypeVar, cast
 
-import joblib
-from threadpoolctl import threadpool_limits
-
 from rrr_oc.errors import UserError
 
 _T = TypeVar("_T")
@@ -35,6 +32,8 @@ def workers(jobs: int = -1, where: str = LOCAL) -> Iterator[None]:
     """
     if jobs == 0 or jobs < -1:
         raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
+    import joblib  # here and below, since it takes a moment, and help needs none of it
+
     if where == LOCAL:
         with joblib.parallel_config("loky", n_jobs=jobs, initializer=_end_with, initargs=(os.getpid(),)):
             yield
@@ -71,6 +70,8 @@ def ordered(function: Callable, arguments: Iterable[Sequence[Any]]) -> list[Any]
 
 def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterator[tuple[int, Any]]:
     """(number, result) of each call as it finishes. Calls that were lost with a worker process are made again."""
+    import joblib
+
     left, deaths = dict(enumerate(arguments)), 0
     if len(left) == 1:
         yield _call(0, function, left[0])
@@ -92,6 +93,8 @@ def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterato
 
 def _call(number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
     """One call, while other processes use the other cores."""
+    import joblib
+
     with one_thread(), joblib.parallel_config(backend="sequential"):
         return number, function(*arguments)
 
@@ -110,6 +113,8 @@ def _end_with(program: int) -> None:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Linear algebra (BLAS) on one thread of this process: on matrices of some hundred columns, more threads mostly wait."""
+    from threadpoolctl import threadpool_limits
+
     with threadpool_limits(1, user_api="blas"):
         yield
 

@@ -61,7 +61,7 @@ _FOUND = _AsInFiles()
 class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An object of a JSON file; a key without a default is required, any other key is refused.
 
-    The reference of each file (`report/reference/files.py`) takes what a key means, and its unit in brackets, from "Attributes" in the
+    The reference of each file (`docs/from_code/files.py`) takes what a key means, and its unit in brackets, from "Attributes" in the
     structure's docstring.
     """
 

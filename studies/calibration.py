@@ -26,9 +26,9 @@ from rrr_oc.calibration.parameter_vector import labels
 from rrr_oc.calibration.prediction_error import error, recorded_controller
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.codesign.springs import configurations
+from rrr_oc.data.published import published
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
-from rrr_oc.paper.published import published
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.console import wide_console

@@ -16,7 +16,7 @@ where the arm has that fault; it is wrong where neither that nor a strong effect
 is named already. So is a stated probability judged. What is called unexplained on such an arm is counted, not judged.
 """
 
-import json
+import sys
 import time
 import traceback
 from collections import Counter
@@ -56,6 +56,9 @@ from rrr_oc.report.figures import save_figure
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, write_json, write_text
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from validation.concealed.naming import ABSENT, IMPERFECT, how_named, key, place, read, small
+
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
@@ -63,10 +66,8 @@ QUANTILES = (0.25, 0.5, 0.75, 0.95)
 FEW = ("single", "faint", "short", "some", "alone", "current", "load", "identify", "locked")  # kinds with one effect at most
 SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
-ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
 NEAR = 1.1  # error over the oracle's up to which a repaired model is as good
 WIDER = 100.0  # times an effect's typical size: width of the oracle's prior; with less, strong effects come out too weak
-IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
 BINS = (0.5, 0.8, 0.95, 1.0)  # of stated probabilities; the last one is of what is claimed
 SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm
 NORMAL = 1.96  # standard errors of a 95 % interval
@@ -161,31 +162,7 @@ def chosen(cases: Path, only: str | None, limit: int | None) -> list[Path]:
     return folders[:limit]
 
 
-def read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
 # --- opened ---
-
-
-def place(joint: Any) -> tuple[str, ...]:
-    """A joint, a list of two or null, to compare by."""
-    return () if joint is None else tuple(sorted([joint] if isinstance(joint, str) else joint))
-
-
-def key(entry: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    return entry["effect"], place(entry["joint"])
-
-
-def how_named(truth: Mapping[str, Any], found: Mapping[str, Any]) -> str | None:
-    """In which way an effect of a diagnosis names one of the truth: "itself", "rival", "equal"; None where it does not."""
-    if key(found) == key(truth):
-        return "itself"
-    if key(truth) in [key(r) for r in found.get("rivals", [])]:
-        return "rival"
-    classes = truth.get("equal_effects") or {}
-    same = [key(e) for kind in ("equal", "within_noise") for e in classes.get(kind, [])]
-    return "equal" if key(found) in same else None
 
 
 def contained(truth: Mapping[str, Any], found: Sequence[Mapping[str, Any]]) -> bool:
@@ -248,11 +225,6 @@ def claims(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> list[dict[
         entry = {"effect": UNEXPLAINED, "joint": u["joint"], "claimed": True, "right": right}
         entries.append(entry | {"probability": u.get("probability"), "size": None})
     return entries
-
-
-def small(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The faults of an imperfect arm for which the catalogue has a name."""
-    return [e for e in truth.get("small", []) if e["in_catalogue"]]
 
 
 def links(diagnosis: Mapping[str, Any]) -> list[dict[str, Any]]:

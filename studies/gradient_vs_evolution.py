@@ -15,6 +15,7 @@ store.
 """
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -30,11 +31,17 @@ from rrr_oc import parallel
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise
-from rrr_oc.paper.encoding import Encoding
-from rrr_oc.paper.engine_population import STEPS
-from rrr_oc.paper.evolution import Protocol
-from rrr_oc.paper.experiments import (
+from rrr_oc.report.console import wide_console
+from rrr_oc.storage import Made, write_json, write_npz, write_text
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from studies.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise
+from studies.paper.comparison_figures import draw_comparison
+from studies.paper.comparison_report import tables
+from studies.paper.encoding import Encoding
+from studies.paper.engine_population import STEPS
+from studies.paper.evolution import Protocol
+from studies.paper.experiments import (
     ENDS,
     EXPERIMENTS,
     GRADIENT,
@@ -49,11 +56,7 @@ from rrr_oc.paper.experiments import (
     spring_torques,
     stored_motion,
 )
-from rrr_oc.paper.run_store import Run, all_runs
-from rrr_oc.report.comparison_figures import draw_comparison
-from rrr_oc.report.comparison_report import tables
-from rrr_oc.report.console import wide_console
-from rrr_oc.storage import Made, write_json, write_npz, write_text
+from studies.paper.run_store import Run, all_runs
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")
 console = wide_console()
@@ -113,7 +116,9 @@ def main(
     size, store, task = SIZES[protocol], out / "runs", load_task(preset)
     for name in names:
         _ = experiment(task, name)
-    transferred = Made([out / "transfer.json"], preset, [Path(__file__).with_name("transfer_to_plant.py")])
+    transferred = Made(
+        [out / "transfer.json"], preset, [Path(__file__).with_name(name) for name in ("transfer_to_plant.py", "paper")]
+    )
     began = time.perf_counter()
     with parallel.workers(jobs, workers):
         for stage in wanted:

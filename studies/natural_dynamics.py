@@ -15,6 +15,7 @@ The winding resistance of the prototype's drives is unknown. Here they have `--r
 Eq. 7 and 9, whose friction `--friction` scales. The same command resumes an interrupted run.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -28,7 +29,6 @@ import typer
 from rrr_oc import parallel
 from rrr_oc.codesign.certificate import exact_cost
 from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
-from rrr_oc.codesign.driven import CONTROLS, DrivenArm, follow
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, embedded, restart_arrays, restored, sample_motion
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -45,7 +45,11 @@ from rrr_oc.report.figures import COLOURS, save_figure
 from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.schema import check_names
-from rrr_oc.storage import check_folder, code, plain, read_npz, write_json, write_npz, write_text
+from rrr_oc.storage import check_folder, plain, read_npz, write_json, write_npz, write_text
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from studies.paper.driven import CONTROLS, DrivenArm, follow
+from studies.paper.run_store import all_code
 
 COSTS = {
     "load": ("load", 0.0),
@@ -91,7 +95,7 @@ class Run:
             "task": task,
             "drives": [getattr(self.drives, name) for name in ("resistance", *FRICTION)],
             "options": asdict(self.options),
-            "code": code(),
+            "code": all_code(),
         }
 
     def design(self, ends: str, cost: str, configuration: str) -> CoDesign:

@@ -12,7 +12,7 @@ the same recordings and held to the same others: boosted trees, and a ridge over
 
 import argparse
 import json
-from dataclasses import replace
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -35,26 +35,16 @@ from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, write_json, write_text
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from validation.prototype_labels import VARIANTS, variant
+
 THINNED = 4  # samples for one that a black box is trained on
-VARIANTS = ("labelled", "no_payload", "no_springs", "bare")
 console = Console()
 
 
 def boosted_trees() -> HistGradientBoostingRegressor:
     """A regression for one joint; nothing is tuned to a set by hand."""
     return HistGradientBoostingRegressor(max_iter=200, learning_rate=0.05, random_state=0)
-
-
-def variant(recordings: RecordingSet, name: str) -> RecordingSet:
-    """The set with the labels that a variant leaves."""
-    every = recordings.recordings
-    if name == "no_payload":
-        every = tuple(replace(r, payload=np.zeros_like(r.payload)) for r in every)
-    if name == "no_springs":
-        every = tuple(replace(r, springs=()) for r in every)
-    if name == "bare":
-        every = tuple(r for r in every if not r.springs and not r.payload.any())
-    return replace(recordings, recordings=every)
 
 
 def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:

@@ -41,14 +41,13 @@ from rrr_oc.codesign.springs import offered, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.commands.shared import Jobs, Workers
+from rrr_oc.data.published import published
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
-from rrr_oc.paper.published import published
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -59,10 +58,12 @@ from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure
 from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import load_actuators
-from rrr_oc.storage import code, hash_of, write_json, write_npz, write_text
+from rrr_oc.storage import hash_of, write_json, write_npz, write_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies.calibration import SIGNALS, Run, coverage, draw_coverage, follow, table
+from studies.paper.run_store import all_code
+from studies.paper.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
 from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, rrr_arm
 from validation.concealed.catalogue import effect_type
 from validation.concealed.effect import Effect, Signals
@@ -623,7 +624,7 @@ def main(
     if task.robot.name != "rrr_prototype":
         raise UserError(f"--preset {preset} is a task of the robot {task.robot.name!r}; the arm here is 'rrr_prototype'")
     asked = {"preset": preset, "seconds": seconds, "starts": starts, "tolerance": tolerance, "seed": seed}
-    asked |= {"code": [code(), hash_of([Path(__file__), PLANT])]}
+    asked |= {"code": [all_code(), hash_of([Path(__file__), PLANT])]}
     if cached(out / "asked.json", lambda: asked) != asked:
         raise UserError(f"--out {out} holds a run with other options or of other code; give another folder")
     options = SearchOptions(starts=starts, seed=seed, kept=3, refinement=Refinement(tolerance))

@@ -30,15 +30,15 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
 from rrr_oc.optimal_control.refinement import Refinement
-from rrr_oc.paper.comparison import FREE_MOTION
-from rrr_oc.paper.encoding import Encoding
-from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
-from rrr_oc.paper.run_store import Run, all_runs
 from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.simulation.tracking import Reference
 from rrr_oc.storage import Made
+from studies.paper.comparison import FREE_MOTION
+from studies.paper.encoding import Encoding
+from studies.paper.experiments import candidate_motion, experiment, stored_motion
+from studies.paper.run_store import Run, all_runs
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.plant import LEAD, Plant, Setup

@@ -81,6 +81,13 @@ def test_the_package_does_not_know_studies_validation_and_tests():
     assert {path: names for path, names in found.items() if names} == {}
 
 
+def test_validation_does_not_know_studies():
+    """Which may import what they share with it."""
+    others = {"studies", *(path.stem for path in (ROOT / "studies").glob("*.py"))}
+    found = {path: {name.split(".")[0] for name in imported(path.read_text())} for path in (ROOT / "validation").rglob("*.py")}
+    assert [name_of(path) for path, names in found.items() if names & others] == []
+
+
 def test_plots_and_printing_live_away_from_numbers():
     wrong = {}
     for path in (p for p in MODULES if folder_of(p) not in VISIBLE):

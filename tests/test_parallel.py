@@ -15,7 +15,7 @@ from small_searches import LABELS, OPTIONS, PEA, SMALL, numbers
 from rrr_oc import parallel
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.errors import UserError
-from rrr_oc.paper.experiments import run_evolution
+from studies.paper.experiments import run_evolution
 
 
 def number(seed: int) -> float:

@@ -148,7 +148,7 @@ def make_paper(labels: str, source: Path, folder: Path) -> None:
     from rrr_oc.recordings.importers import import_prototype
     from rrr_oc.recordings.reader import load_recordings
     from rrr_oc.recordings.writer import save_recordings
-    from studies.prototype_recordings import variant
+    from validation.prototype_labels import variant
 
     converted = folder.with_name("converted")
     if not converted.is_dir():

@@ -41,7 +41,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, write_json, write_text
-from studies.concealed_physics import IMPERFECT, how_named, place, read
+from validation.concealed.naming import IMPERFECT, how_named, place, read
 
 LEAST = 1.0  # times the noise, from which a hidden effect must not be passed over in silence
 SAID = {

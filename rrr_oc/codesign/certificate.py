@@ -205,16 +205,18 @@ def _positive(force: np.ndarray, indices: list[np.ndarray]) -> float:
 
 
 def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
-    """Torque limits and the floor, rows of the problem: the multipliers of all instants together."""
+    """Limits of torque and of springs, and the floor, rows of the problem: the multipliers of all instants together."""
     task, force = design.task, dict[str, float]()
     for name, rows in solution.transcription.path_rows:
         force[name] = force.get(name, 0.0) + np.abs(solution.lam_g[rows]).sum() * solution.problem.cost_scale
-    limits = {torque_path(joint): limit for joint, limit in zip(task.joints, task.torque, strict=True)}
+    limits = {torque_path(joint): (limit, "Nm") for joint, limit in zip(task.joints, task.torque, strict=True)}
+    limits |= {part.what: (part.limit, part.unit) for part in design.limited_parts}
     for name, total in force.items():
         if name == FLOOR:
             yield "the floor under the tool", task.floor, "m", total
         else:
-            yield f"the limit of the {name}", limits[name], "Nm", total / limits[name]  # the row is torque / limit ≤ 1
+            limit, unit = limits[name]
+            yield f"the limit of the {name}", limit, unit, total / limit  # the row is what is limited over its limit, ≤ 1
 
 
 def exact_cost(design: CoDesign, solution: Solution) -> float:

@@ -7,6 +7,8 @@ import msgspec
 from msgspec import Struct
 
 from rrr_oc.codesign.certificate import Certificate
+from rrr_oc.codesign.parts.limits import SpringLimits
+from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.purchasable import Coverage
 from rrr_oc.codesign.search.motions import Covered
 from rrr_oc.storage import plain
@@ -206,6 +208,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
         start: Angles by joint where the arm takes the payload [rad].
         release: Angles by joint where it lets it go [rad].
         lowest_tool_m: Height of the lowest point of the tool above the base.
+        turns: Least and greatest deflection of each helical spring in the motion [rad], by label; of one across two joints about the
+            first of them.
         idle: Springs that do nothing along the motion, by label, and why.
         beyond: Springs that the motion turns further than their law is known, by label, and how far.
         certificate: What is known of the optimum; of several tasks, with the springs held.
@@ -233,6 +237,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
     scenarios: tuple[Case, ...] = ()
     calibrated: Transferred | None = None
     foreseen: Foreseen | None = None
+    turns: dict[str, tuple[float, float]] = {}
 
 
 class Bought(Coverage, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -338,6 +343,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         mounted: How each spring is mounted, by its label.
         parameters: Values by label and name, of the springs and of effects that the arm has, in SI units.
         tasks: The motions, by task.
+        parts: The springs as parts, each in every way in which it can be made; of several tasks for all of them.
         optima: The distinct local optima of a task that is designed for alone, cheapest first.
         layers: Starts, by their source; none without springs that several tasks share.
         covered: What the search for motions of held springs has solved; null where several tasks share the springs.
@@ -362,6 +368,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     mounted: dict[str, dict[str, Any]]
     parameters: dict[str, dict[str, float]]
     tasks: dict[str, Moved]
+    parts: tuple[Part, ...] = ()
     optima: tuple[LocalOptimum, ...] = ()
     layers: dict[str, Layer] = {}
     covered: Covered | None = None
@@ -416,6 +423,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
         release: Angles by joint where it lets it go [rad]; null where the posture is free.
         speeds: Whether the arm is at rest, moving or free at start and release.
         limits: Of the moving joints, by name.
+        spring_limits: Of the springs as parts; null where a file does not say it.
     """
 
     name: str
@@ -427,6 +435,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     release: dict[str, float] | None
     speeds: dict[str, str]
     limits: dict[str, Limits]
+    spring_limits: SpringLimits | None = None
 
 
 class Unsure(Struct, frozen=True, forbid_unknown_fields=True):

@@ -8,10 +8,12 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 
+from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
+from rrr_oc.effects.base import Signals
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, Problem, Side
@@ -201,8 +203,8 @@ class CoDesign:
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
         of_links, free = task.speed.copy(), np.full(e, np.inf)
         of_links[own] = np.inf  # where a spring stands between drive and link, the drive's speed is limited
-        limited, floor = self._limited
-        bounded = len(limited) * len(self.scenarios)
+        limited, floor = self._torque_rows, self._floors
+        bounded, parts = len(limited) * len(self.scenarios), [part.what for part in self.limited_parts]
         springs = [f"torque of the spring in series with {task.joints[row]}" for row in own]
         return Phase(
             name=PHASES[index],
@@ -227,10 +229,10 @@ class CoDesign:
             end=end,
             duration=task.duration,
             path=Bounded(
-                (*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *([FLOOR] if floor else [])),
-                np.r_[-np.ones(bounded), np.full(floor, task.floor)],
-                np.r_[np.ones(bounded), np.full(floor, np.inf)],
-                np.ones(bounded + floor),
+                (*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *[FLOOR] * floor, *parts),
+                np.r_[-np.ones(bounded), np.full(floor, task.floor), np.full(len(parts), -np.inf)],
+                np.r_[np.ones(bounded), np.full(floor, np.inf), np.ones(len(parts))],
+                np.ones(bounded + floor + len(parts)),
             ),
             costs=tuple(range(self.costs)),
             boundaries=self._boundaries(index, torque, tuple(springs)),
@@ -267,9 +269,28 @@ class CoDesign:
         return {"x": 2 * m + 2 * len(self.series.rows), "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
 
     @property
-    def _limited(self) -> tuple[list[int], int]:
-        """Rows of the moving joints with limits of torque, and whether there is a floor."""
-        return np.flatnonzero(np.isfinite(self.task.torque)).tolist(), int(np.isfinite(self.task.floor))
+    def _torque_rows(self) -> list[int]:
+        """Rows of the moving joints with limits of torque."""
+        return np.flatnonzero(np.isfinite(self.task.torque)).tolist()
+
+    @property
+    def _floors(self) -> int:
+        """Number of floors."""
+        return int(np.isfinite(self.task.floor))
+
+    @property
+    def limited_parts(self) -> list[Limited]:
+        """What the task limits of its springs as parts, of symbols."""
+        return self.limited_at(ca.SX.sym("q", len(self.task.moving)), ca.SX.sym("p", len(self.model.parameters)))
+
+    def limited_at(self, q, p) -> list[Limited]:
+        """The same at angles of the moving joints (m,) and parameters (np,), numbers or casadi's."""
+        found, at, signals = list[Limited](), 0, Signals(self._all_joints(q, self.task.locked))
+        for spring in self.springs:
+            theta = {parameter.name: p[at + i] for i, parameter in enumerate(spring.effect.parameters)}
+            found += limited(spring, self.model.label(spring.effect), self.task.spring_limits, signals, theta)
+            at += len(theta)
+        return found
 
     def _rates(self, index: int) -> ca.Function:
         task, m, series = self.task, len(self.task.moving), self.series
@@ -294,10 +315,10 @@ class CoDesign:
         costs = ca.vertcat(*[self.cost_rate(speeds, accelerations, tau, self.power_width(d)) for tau in torques])
         if self.over == "mean":
             costs = ca.sum1(costs) / len(self.scenarios)
-        limited, floor = self._limited
-        path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in limited])
-        if floor:
+        path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in self._torque_rows])
+        if self._floors:
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(q, task.locked)))
+        path = ca.vertcat(path, *[part.over for part in self.limited_at(q, ca.SX(self.engaged(index, p)))])
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(dq, ddq, series.rates(x, u, p)), costs, path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
@@ -371,7 +392,10 @@ class CoDesign:
         for spring in self.springs:
             named = {p.name: next(numbers) for p in spring.effect.parameters}
             if not spring.known:
-                found |= spring.form.named(spring.effect.joints, named, spring.hardware, spring.fixed)
+                bounds = spring.hardware
+                if bounds and self.task.spring_limits.force_N is not None:
+                    bounds = spring.form.with_largest_pulleys([*named.values()], bounds)
+                found |= spring.form.named(spring.effect.joints, named, bounds, spring.fixed)
         return found
 
     def with_physics(self, effects: Sequence[tuple[Effect, np.ndarray]]) -> "CoDesign":

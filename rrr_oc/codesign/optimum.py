@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, DesignSpring, Effect
+from rrr_oc.effects.base import Signals
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.problem import Guess
@@ -145,6 +147,27 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
         soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
         idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
     return idle
+
+
+def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Least and greatest deflection of each helical spring of a design along a motion (`DesignSpring.stretch`) [rad], by its label; 0
+    where it is slack."""
+    found, values, q = {}, design.model.values(parameters), design.task.full(motion.q)
+    for effect in (spring.effect for spring in design.springs if not spring.known):
+        label, acts = design.model.label(effect), np.ones(len(motion.t), bool)
+        if isinstance(effect, Clutched):  # in the other phase it is held as it is
+            acts = motion.phase == PHASES.index(effect.phase)
+        stretch = effect.stretch(Signals(q[:, acts]), values[label]) if isinstance(effect, DesignSpring) else None
+        if stretch is not None:
+            found[label] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
+    return found
+
+
+def parts(design: CoDesign, parameters: np.ndarray, turned: Mapping[str, tuple[float, float]]) -> list[Part]:
+    """The parts of a design whose springs turn so far, by its task's limits."""
+    hardware, effects = design.hardware(parameters), {design.model.label(s.effect): s for s in design.springs}
+    axes = {label: effects[label].form.axis(hardware, effects[label].effect.joints) for label in turned}
+    return order_list(axes, turned, design.task.spring_limits)
 
 
 def beyond_known(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:

@@ -34,10 +34,12 @@ from rrr_oc.codesign.optimum import (
     idle_springs,
     known_parameters,
     mounted,
+    parts,
     resimulate,
     restart_arrays,
     restored,
     sample_motion,
+    turns,
 )
 from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
@@ -647,6 +649,7 @@ def _search(
 def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
     limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
+    limits += "".join(f"; springs' {key} {value:g}" for key, value in task.spring_limits.of_design.items())
     return UserError(
         f"no motion of task {task.name!r} was found within its limits ({limits}; "
         f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
@@ -725,6 +728,7 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         "springs": design.first.hardware(parameters),
         "mounted": mounted(design.first),
         "parameters": design.first.model.values(parameters),
+        "parts": parts(design.first, parameters, _turned([*tasks.values()])),
         "tasks": tasks,
         "layers": layers(result.starts),
         "change": result.change,
@@ -732,6 +736,13 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         "wall_s": time.perf_counter() - began,
     }
     return typed(found, Configuration)
+
+
+def _turned(tasks: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
+    """Least and greatest deflection in all tasks of each spring that does something in one, by its label."""
+    used = [label for label in tasks[0]["turns"] if not all(label in moved["idle"] for moved in tasks)]
+    ranges = {label: [moved["turns"][label] for moved in tasks] for label in used}
+    return {label: (min(low for low, _ in some), max(high for _, high in some)) for label, some in ranges.items()}
 
 
 def _moved(
@@ -752,6 +763,7 @@ def _moved(
         "start": dict(zip(held.task.joints, motion.q[:, 0].tolist(), strict=True)),
         "release": dict(zip(held.task.joints, motion.q[:, motion.segments[0].stop - 1].tolist(), strict=True)),
         "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
+        "turns": turns(own, motion, solution.parameters),
         "idle": idle_springs(own, motion, solution.parameters),
         "beyond": beyond_known(own, motion, solution.parameters),
         "certificate": certify(held, optimum, compared),

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Meta, field
 from scipy.optimize import least_squares, minimize
 
+from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
@@ -133,6 +134,8 @@ class TaskFile(Schema, frozen=True):
         path_margin: If given, the joints' ranges become the way between both ends, widened on each side by this share of it [1].
         floor_m: Height that the tool stays above; by default none.
         springs: Springs that a design may use, each with bounds of its quantities.
+        spring_limits: Limits of these springs as parts, in the design and in the parts that are worked out for it; by default those of
+            the parts alone.
         locked_deg: Angles of joints that do not move; 0 for those left out, or the middle of a range that lacks 0.
         joints: The arm's joints, in the order of the chain; others are held still, whatever their type, such as a gripper's fingers.
             By default all are the arm's.
@@ -153,6 +156,7 @@ class TaskFile(Schema, frozen=True):
     path_margin: NonNegative | None = None
     floor_m: float = -np.inf
     springs: list[dict[str, Any]] = field(default_factory=list)
+    spring_limits: SpringLimits | None = None
     locked_deg: dict[str, float] = field(default_factory=dict)
     joints: tuple[Text, ...] | None = None
 
@@ -189,6 +193,7 @@ class Task:
         goals: Places of the tool at start and release where the posture is free there.
         cycle: Bounds of the duration of both phases together [s], if there are some beside theirs.
         files: The files that it was read from.
+        spring_limits: Limits of the springs as parts.
     """
 
     name: str
@@ -211,6 +216,7 @@ class Task:
     goals: tuple[Goal | None, Goal | None] = (None, None)
     cycle: Interval | None = None
     files: tuple[Path, ...] = ()
+    spring_limits: SpringLimits = SpringLimits()  # noqa: RUF009
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -295,6 +301,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         speeds=(given.start.speed, given.release.speed),
         goals=(None, None),
         cycle=given.cycle_s,
+        spring_limits=given.spring_limits or SpringLimits(),
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )

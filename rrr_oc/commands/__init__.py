@@ -3,7 +3,8 @@
 A module has a `typer.Typer` named `app`, made without completion, whose functions are the command or its subcommands. It appears
 in `rrr-oc` by its row in `COMMANDS`. `shared` has what several of them need.
 
-Imports everything else; a module here may import at its top what it needs."""
+Imports everything else; a module here imports at its top what its options need, and the rest where the command runs, within
+`ends_at_once`."""
 
 from importlib import import_module
 from typing import Any

@@ -1,25 +1,23 @@
 """`rrr-oc calibrate`: a calibrated model of recordings."""
 
+from __future__ import annotations
+
 import json
 import shlex
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
-from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
-from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.model_file import save_model
-from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, unexplained_torques
-from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.report.diagnosis_words import if_identified, measured, off_links
-from rrr_oc.robot.robot import too_dense
+from rrr_oc.errors import ends_at_once
 from rrr_oc.storage import check_folder
+
+if TYPE_CHECKING:
+    from rrr_oc.calibration.calibrated_model import CalibratedModel
 
 app = typer.Typer(add_completion=False)
 
@@ -30,13 +28,6 @@ class Way(StrEnum):
     inverse = "inverse"
     response = "response"
     evolution = "evolution"
-
-
-WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
-    Way.inverse: calibrate_inverse,
-    Way.response: calibrate_response,
-    Way.evolution: calibrate_evolution,
-}
 
 
 @app.command()
@@ -54,12 +45,18 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    with ends_at_once():
+        from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
+        from rrr_oc.calibration.model_file import save_model
+        from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+        from rrr_oc.robot.robot import too_dense
+    ways = {Way.inverse: calibrate_inverse, Way.response: calibrate_response, Way.evolution: calibrate_evolution}
     output = Output(quiet, as_json)
     check_folder(out)
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / "model.json"])
     doubted(recordings, output)
-    model = WAYS[way](recordings)
+    model = ways[way](recordings)
     save_model(model, out / "model.json")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))
     _show_model(model, output)
@@ -75,6 +72,8 @@ def calibrate(
 
 
 def _show_model(model: CalibratedModel, output: Output) -> None:
+    from rrr_oc.report.diagnosis_words import if_identified, measured, off_links
+
     table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
     for term in model.terms:
         for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):

@@ -19,9 +19,9 @@ from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line
+from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
-from rrr_oc.paper.published import published_springs
 from rrr_oc.report.design_report import CERTIFICATES
 from rrr_oc.report.study_files import FILES, write_study
 

@@ -1,8 +1,10 @@
 """`rrr-oc diagnose`: which physics a calibrated model lacks."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -20,41 +22,15 @@ from rrr_oc.commands.shared import (
     shown,
     unexplained_torques,
 )
-from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
-from rrr_oc.diagnosis.files.stages import SHARES
-from rrr_oc.diagnosis.held_out import in_closed_loop
-from rrr_oc.diagnosis.procedure import Diagnosis
-from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
-from rrr_oc.effects.priors import load_priors
-from rrr_oc.effects.words import joint_words, words
-from rrr_oc.errors import noted
+from rrr_oc.errors import ends_at_once, noted
 from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
-from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
-from rrr_oc.report.diagnosis_words import (
-    SMALL,
-    anatomy,
-    error,
-    events,
-    extrapolated,
-    idle,
-    measured,
-    missing,
-    not_claimed,
-    not_made,
-    off_links,
-    on_prior,
-    plain,
-    rows,
-    sentence,
-    undecided,
-    unexplained,
-    unsaid,
-)
-from rrr_oc.report.pages.diagnosis_claims import small
 from rrr_oc.schema import with_nan
 from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
+
+if TYPE_CHECKING:
+    from rrr_oc.diagnosis.procedure import Diagnosis
 
 app = typer.Typer(add_completion=False)
 
@@ -78,6 +54,13 @@ def diagnose(
     as_json: Json = False,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    with ends_at_once():
+        from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
+        from rrr_oc.diagnosis.files.stages import SHARES
+        from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
+        from rrr_oc.effects.priors import load_priors
+        from rrr_oc.effects.words import words
+        from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
     output = Output(quiet, as_json)
     check_folder(out)
     believed = None if priors is None else load_priors(priors)
@@ -105,6 +88,8 @@ def diagnose(
 
 def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
     """Errors in closed loop. Where there are none, the reason may be gone at the next try, such as a missing compiler: it is not kept."""
+    from rrr_oc.diagnosis.held_out import in_closed_loop
+
     simulated = known(kept, "tracking")
     if simulated is None:
         simulated = plain_data(in_closed_loop(found))
@@ -114,11 +99,15 @@ def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
 
 
 def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
-    said = sentence(found)
+    from rrr_oc.effects.words import joint_words
+    from rrr_oc.report import diagnosis_words as told
+    from rrr_oc.report.pages.diagnosis_claims import small
+
+    said = told.sentence(found)
     output.show(said)
-    for line in [*map(plain, missing(found)), *map(unexplained, found["unexplained"])]:
+    for line in [*map(told.plain, told.missing(found)), *map(told.unexplained, found["unexplained"])]:
         output.show(line)
-    header, body = rows(found)
+    header, body = told.rows(found)
     table = Table(*header)
     for row in body:
         table.add_row(*row)
@@ -126,36 +115,36 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         output.show(table)
     header, body = small(found)
     if body:
-        output.show(SMALL)
+        output.show(told.SMALL)
         table = Table(*header)
         for row in body:
             table.add_row(*row)
         output.show(table)
-    header, body = anatomy(found)
+    header, body = told.anatomy(found)
     if body:
         table = Table(*header)
         table.title = "Parts of the squared error of the robot's file, on data left out, in percent"
         for row in body:
             table.add_row(*row)
         output.show(table)
-    lines = [
-        *events(found),
-        *undecided(found),
-        *off_links(found),
-        *measured(found),
-        *on_prior(found),
-        *idle(found),
-        *not_claimed(found),
-        *not_made(found),
-    ]
-    for line in unsaid(lines, said):
+    parts = (
+        told.events,
+        told.undecided,
+        told.off_links,
+        told.measured,
+        told.on_prior,
+        told.idle,
+        told.not_claimed,
+        told.not_made,
+    )
+    for line in told.unsaid([line for part in parts for line in part(found)], said):
         output.show(line)
     errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
     errors.title = "Error held out, of the torque's standard deviation"
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
-        errors.add_row(joint_words(joint), *(error(b[k]) for k in ("before", "after")), ratio)
+        errors.add_row(joint_words(joint), *(told.error(b[k]) for k in ("before", "after")), ratio)
     output.show(errors)
-    for line in extrapolated(found):
+    for line in told.extrapolated(found):
         output.show(line)

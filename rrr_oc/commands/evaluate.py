@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 
-from rrr_oc.calibration.model_file import load_model
-from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
+from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
 
@@ -27,6 +26,9 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
+    with ends_at_once():
+        from rrr_oc.calibration.model_file import load_model
+        from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
     output = Output(quiet, as_json)
     check_window(window)
     if out is not None:

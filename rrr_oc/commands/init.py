@@ -396,6 +396,7 @@ def _task(name: str, moved: Moved, ends: Ends) -> str:
   "duration_s": [0.5, {longest:g}], // of each way
   // "cycle_s": [1.0, {2 * longest:g}], // of both ways together
   // "floor_m": 0.0, // the tool stays above
+  // "spring_limits": {{"torque_Nm": 20, "turn_deg": 180, "outside_mm": 80}}, // of the springs as parts
   // "path_margin": 0.25, // keep the joints' ranges to the way between both ends and this share of it
   "limits": {{ // also "acceleration_deg_per_s2", and "torque_Nm" in place of the robot file's
 {bounds}

@@ -1,24 +1,27 @@
 """What several commands need: the data set that they read, what they refuse to overwrite, and the line that runs them again."""
 
+from __future__ import annotations
+
 import shlex
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 from rich.table import Table
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.commands.output import Output
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, ends_at_once
 from rrr_oc.model.metrics import WORTHLESS
-from rrr_oc.recordings.consistency import Consistency, check_consistency
-from rrr_oc.recordings.reader import load_recordings
-from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import HEAVIEST
 from rrr_oc.storage import resolved
+
+if TYPE_CHECKING:
+    from rrr_oc.calibration.calibrated_model import CalibratedModel
+    from rrr_oc.recordings.consistency import Consistency
+    from rrr_oc.recordings.recording import RecordingSet
 
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
@@ -65,6 +68,8 @@ def check_payload(payload: float) -> None:
 
 def loaded(dataset: Path, output: Output) -> RecordingSet:
     """A recording set; what a user should know of how it was read is noted."""
+    with ends_at_once():
+        from rrr_oc.recordings.reader import load_recordings
     recordings = load_recordings(dataset)
     for note in recordings.notes:
         output.note(f"Note: {note}.")
@@ -73,6 +78,8 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
 
 def doubted(recordings: RecordingSet, output: Output) -> Consistency:
     """What looks wrong in a set, each doubt noted."""
+    with ends_at_once():
+        from rrr_oc.recordings.consistency import check_consistency
     found = check_consistency(recordings)
     for doubt in found.doubts:
         output.note(f"Warning: {doubt.said}.")

@@ -6,10 +6,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from rrr_oc.calibration.model_file import load_model
-from rrr_oc.calibration.prediction_error import errors_simulated, simulated, summary, write_simulated
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
+from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_folder
 
@@ -29,6 +28,9 @@ def simulate(
 
     The motor torque that the model expects is fed forward, and controllers hold it on the recorded motion.
     """
+    with ends_at_once():
+        from rrr_oc.calibration.model_file import load_model
+        from rrr_oc.calibration.prediction_error import errors_simulated, simulated, summary, write_simulated
     output = Output(quiet, as_json)
     check_window(window)
     check_folder(out)

@@ -15,11 +15,10 @@ from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding
 from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.design import Search, excite
+from rrr_oc.excitation.design import Search, excite, times
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import information, model_sensitivity
 from rrr_oc.excitation.limits import Limits, Rig, robot_limits
-from rrr_oc.excitation.sweeps import times
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring

@@ -32,6 +32,23 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class Axis:
+    """Where a spring of a design sits, and what it does there.
+
+    Attributes:
+        rate: Its rate about this axis [Nm/rad].
+        slack: Angle of this axis where its torque is zero [rad].
+        ratio: Its turn there over its deflection (`DesignSpring.stretch`) [1].
+        radius: Of the pulley from which its cable goes on [m]; None where the axis is its joint's.
+    """
+
+    rate: float
+    slack: float
+    ratio: float = 1.0
+    radius: float | None = None
+
+
+@dataclass(frozen=True)
 class DesignForm:
     """A spring whose parameters are the quantities that a task bounds, in their order.
 
@@ -85,6 +102,19 @@ class DesignForm:
     def parameters(self, numbers: Sequence[Any] | np.ndarray) -> np.ndarray:
         """The effect's parameters (p, ...) from the quantities (number, ...) in their order."""
         return np.asarray(numbers, float)
+
+    def axis(self, hardware: Mapping[str, float], joints: tuple[int, ...]) -> Axis:
+        """Where a spring with this hardware, by `name`, sits."""
+        return Axis(*(hardware[self.name(q, joints)] for q in self.quantities[:2]))
+
+    def inverse_radii(self, theta: Sequence[Any], bounds: Bounds, fixed: Mapping[str, float]) -> tuple[Any, ...]:
+        """1/m: the force of a spring's cable is at least its torque on its first joint times each of these, whatever hardware within
+        bounds, or with some fixed, it has; empty without a cable."""
+        return ()
+
+    def with_largest_pulleys(self, theta: Sequence[float], bounds: Bounds) -> Bounds:
+        """Bounds of the hardware, if `derived`, that leave what has the least force in its cable."""
+        return bounds
 
     def exists(self, theta: Sequence[Any], bounds: Mapping[str, tuple[Any, Any]]) -> ca.SX:
         """Inequalities ≤ 0 on the parameters that hold exactly where quantities within bounds exist, if they are `derived`."""

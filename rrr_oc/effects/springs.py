@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Signals
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 
@@ -77,6 +77,11 @@ class DesignSpring(Effect):
     """A spring that a co-design may use, in the form `design`."""
 
     design: ClassVar[DesignForm]
+
+    def stretch(self, signals: Signals, theta: Mapping[str, Any]) -> Any:
+        """How far a helical spring is deflected from its equilibrium [rad], negative where it is slack; None for springs that are made
+        otherwise. Its torque on the first of its joints is its amplitude times that."""
+        return None
 
     def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.

@@ -1,3 +1,3 @@
-"""Motions to record: D-optimal Fourier series within an arm's limits, and the paper's sweeps.
+"""Motions to record: D-optimal Fourier series within an arm's limits.
 
 Imports `recordings` and what stands below it."""

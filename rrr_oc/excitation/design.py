@@ -13,9 +13,22 @@ from rrr_oc.errors import UserError
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import Information
 from rrr_oc.excitation.limits import UNITS, PathLimits, Rig, signals, states_within
-from rrr_oc.excitation.sweeps import STEP, times
 from rrr_oc.model.motion import Motion
 from rrr_oc.parallel import once_per_process, unordered
+
+STEP = 0.01  # default sampling of a planned recording [s]
+MOST = 1_000_000  # samples of a motion; doubled, a file of seven joints has 800 MB
+
+
+def times(duration: float, step: float) -> np.ndarray:
+    """Sampling times from 0 to the duration [s]; raises `UserError` for a step that is not within it, or more than `MOST` of them."""
+    if not 0 < step <= duration:
+        raise UserError(f"the sampling step must be above 0 and at most the duration, {duration:g} s, got {step:g} s")
+    if duration / step >= MOST:
+        raise UserError(
+            f"a motion of {duration:g} s has more than {MOST} samples of {step:g} s; at most {MOST * step:g} s are allowed"
+        )
+    return np.linspace(0, duration, round(duration / step) + 1)
 
 
 @dataclass(frozen=True)

@@ -1,3 +1,3 @@
-"""Numerical tools that know no robot: smooth functions, filters, splines, oscillators, CasADi functions at many instants.
+"""Numerical tools that know no robot: smooth functions, filters, oscillators, CasADi functions at many instants.
 
 Imports nothing but the modules at the root."""

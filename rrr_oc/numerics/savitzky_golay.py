@@ -4,9 +4,12 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_matrix
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 GAP = 5.0  # longest step within a segment, in median steps (file contract); doubled, filters reach across gaps twice as long
 WINDOW = 0.15  # [s], default window (file contract); doubled, derivatives have half the noise and 16 times the bias
@@ -88,8 +91,10 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
     return result
 
 
-def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, order: int = 3) -> csr_matrix:
+def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, order: int = 3) -> "csr_matrix":
     """The filter as a sparse matrix (K, K), for many signals and short windows; the window is at most a third of a segment."""
+    from scipy.sparse import csr_matrix
+
     rows, columns, values = [], [], []
     for s in segments:
         size, count = s.stop - s.start, _smoothing_samples(t, s, window, 3)

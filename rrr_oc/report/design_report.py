@@ -31,6 +31,14 @@ LEFT_OPEN = (
     "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
     "that the recordings do not tell from it."
 )
+ORDERS = (
+    "An extension or compression spring is pulled by a cable on a pulley of that radius. Wire is music wire up to 6.5 mm and chrome-vanadium "
+    "wire above; the coil is the mean diameter, the size the outside diameter and the greatest length in use, with hooks. The slack angle is "
+    "that of the joint, or of the pulley r_1 of a cable across two joints; the deflection is counted from there. Tolerances are those of "
+    "quality 2. A torsion spring would touch a rod of the diameter given. An extension spring is wound with the initial tension given, or "
+    "with gaps and none, where its cable gets slack or carries little. Compression springs need a rod or a tube. The masses do not act on "
+    "the arm."
+)
 MOTION = ("torque", "spring", "angle", "speed")  # figures of the page
 CERTIFICATES = "Certificates"  # the title from which on the command shows no more
 
@@ -51,6 +59,7 @@ def sections(study: DesignFile) -> list[Section]:
         Section("At equal cycle times", tuple(_at_times(study))),
         Section("The motion and what the springs do", (moved, *_pictures(study))),
         Section("Hardware and durations", (_hardware(study), *_mounted(study), *_postures(study))),
+        Section("Springs to order", tuple(_orders(study))),
         Section("Which springs are worth their price", tuple(_choices(study))),
         Section("Between the set and its first task", tuple(_fronts(study))),
         Section("Scenarios", tuple(_scenarios(study))),
@@ -98,6 +107,15 @@ def _mounted(study: DesignFile) -> Iterator[Part]:
     for name, c in study.configurations.items():
         if c.mounted and c.catalogue is None:
             yield Part(f"How the springs of {name} are mounted", points=tuple(say.mounts(c)), of=name)
+
+
+def _orders(study: DesignFile) -> Iterator[Part]:
+    limits = study.tasks[0].spring_limits
+    if limits is not None and any(c.parts for c in study.configurations.values()):
+        yield Part(said=(say.part_limits(limits),), note=ORDERS)
+    for name, c in study.configurations.items():
+        if c.parts:
+            yield Part(f"Springs of {name}", table=order_table(c), of=name)
 
 
 def _postures(study: DesignFile) -> Iterator[Part]:
@@ -274,6 +292,29 @@ def hardware_table(study: DesignFile) -> Table:
     header, rows = table_4(ours, names, 3, None, {name: say.of_joint(name, study.joints) for name in names})
     end = None if study.single else -len(PHASES)  # each task has durations of its own
     return header[:end], [row[:end] for row in rows]
+
+
+def order_table(c: Configuration) -> Table:
+    """The springs of a configuration as parts, in every way in which they can be made."""
+    header = [
+        "spring",
+        "made as",
+        "rate",
+        "slack at",
+        "deflection",
+        "load",
+        "energy [J]",
+        "wire × coil [mm] × coils",
+        "size [mm]",
+    ]
+    rows, before = [], ""
+    for p in c.parts:
+        named, before = "" if p.label == before else say.placed(p.label), p.label
+        cells = [named, say.make(p), *say.of_load(p), f"{p.energy_J:.3g}"]
+        wound = f"{1e3 * p.d_m:g} × {1e3 * p.D_m:.1f} × {p.coils:.2f}"
+        size = f"{1e3 * p.outside_m:.0f} × {1e3 * p.length_m:.0f}"
+        rows.append([*cells, wound, size, f"{p.mass_kg:.3f}", say.weakest(p), say.remarks(p)])
+    return [*header, "mass [kg]", "safety", ""], rows
 
 
 def postures_table(study: DesignFile) -> Table:

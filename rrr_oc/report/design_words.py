@@ -1,9 +1,12 @@
 """A co-design study in sentences: the verdict, what is to be made or bought, what is known, and what to be careful about."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, Priced, Quantity
+from rrr_oc.codesign.parts.limits import SpringLimits
+from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.transfer import uncalibrated
 from rrr_oc.effects import design_forms
@@ -198,6 +201,67 @@ def mounts(c: Configuration) -> list[str]:
     return told
 
 
+def part_limits(limits: SpringLimits) -> str:
+    """Within what springs as parts are worked out."""
+    return (
+        f"Each spring as a part, in every way to make it, the lightest that can be built first. The wire has a safety of {limits.safety:g} or "
+        f"more against a permanent set and over {limits.cycles:g} cycles. A spring is at most {limits.outside_mm:g} mm wide and "
+        f"{limits.length_mm:g} mm long in use, and its coil {limits.index[0]:g} to {limits.index[1]:g} times as wide as its wire."
+        f"{_of_design(limits)}"
+    )
+
+
+def _of_design(limits: SpringLimits) -> str:
+    """What of the springs was limited while they were designed."""
+    told = {
+        "torque_Nm": "a torque of {:g} Nm",
+        "turn_deg": "a turn of {:g}°",
+        "force_N": "a cable force of {:g} N",
+        "energy_J": "{:g} J",
+    }
+    some = [told[key].format(value) for key, value in limits.of_design.items()]
+    return f" Limits of the design were {listed(some)}." if some else ""
+
+
+def make(part: Part) -> str:
+    """How a spring is made and mounted."""
+    return part.make if part.pulley_m is None else f"{part.make}, pulley {1e3 * part.pulley_m:.3g} mm"
+
+
+def of_load(part: Part) -> list[str]:
+    """Rate, angle at which a spring is slack, deflection in use and load of a part, the first two with their tolerances."""
+    off = math.degrees(part.rest_tolerance / (part.pulley_m or 1.0))
+    slack = f"{math.degrees(part.slack_rad):.1f} ± {off:.0f}°"
+    if part.pulley_m is None:
+        rate, deflection, load = (
+            f"{part.rate:.4g}",
+            [math.degrees(x) for x in (part.least, part.greatest)],
+            f"{part.load:.3g} Nm",
+        )
+        units = "Nm/rad", "°"
+    else:
+        rate, deflection, load = f"{part.rate / 1e3:.4g}", [1e3 * x for x in (part.least, part.greatest)], f"{part.load:.4g} N"
+        units = "N/mm", " mm"
+    low, high = deflection
+    return [f"{rate} {units[0]} ± {100 * part.rate_tolerance:.1f} %", slack, f"{low:.1f} … {high:.1f}{units[1]}", load]
+
+
+def weakest(part: Part) -> str:
+    """The least safety of a part, and of what."""
+    return f"{part.safety:.2f} ({min(part.safeties, key=lambda one: part.safeties[one])})"
+
+
+def remarks(part: Part) -> str:
+    """What else a maker needs to know of a part, or why it cannot be built."""
+    if part.why_not:
+        return f"cannot be built: {listed(part.why_not)}"
+    if part.rod_m is not None:
+        return f"rod below {1e3 * part.rod_m:.0f} mm"
+    if part.initial_tension_N is None:
+        return "closed, ground ends"
+    return f"wound with {part.initial_tension_N:.3g} N" if part.initial_tension_N else "wound with gaps"
+
+
 def _turned(joints: Sequence[str], signs: Sequence[int]) -> str:
     towards = {1: "larger", -1: "smaller"}
     return listed([f"{joint} towards {towards[sign]} angles" for joint, sign in zip(joints, signs, strict=True)])
@@ -206,6 +270,7 @@ def _turned(joints: Sequence[str], signs: Sequence[int]) -> str:
 def bound(sentence: str) -> str:
     """The sentence of an active bound with the names of springs and their parameters in words."""
     said = re.sub(r"(\w+\[[^\]]*\])\.(\w+)", lambda m: f"{words(m[2])} of the {placed(m[1])}", sentence)
+    said = re.sub(r"\w+\[[^\]]*\]", lambda m: placed(m[0]), said)
     return f"{said[:1].upper()}{said[1:]}."
 
 

@@ -91,6 +91,7 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "duration_s": task.duration,
         "cycle_s": task.cycle,
         "speeds": dict(zip(("start", "release"), task.speeds, strict=True)),
+        "spring_limits": task.spring_limits,
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }
     ends = {

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rrr_oc.codesign.task import PHASES
+from rrr_oc.data.published import published
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
-from rrr_oc.paper.published import published
 
 SPRINGS = ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3")  # in the order of Table 4
 NONE = "–"

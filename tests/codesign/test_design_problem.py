@@ -19,13 +19,13 @@ from rrr_oc.codesign.optimum import describe_simulation, sample_motion
 from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import configurations, offered, spring_bounds
 from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.data.published import published_springs
 from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Solution, Solver
 from rrr_oc.optimal_control.transcription import Transcription
-from rrr_oc.paper.published import published_springs
 from rrr_oc.robot.drives import load_actuators
 
 TASK = load_task("paper")

@@ -1,5 +1,4 @@
-"""Optima in a calibrated twin, and with drives under two controls: without friction the engine gives the motion's own cost, with it all
-routes mean what they say."""
+"""Optima in a calibrated twin: without friction the engine gives the motion's own cost, with it all routes mean what they say."""
 
 from dataclasses import replace
 
@@ -8,12 +7,12 @@ import designs
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
+from small_searches import smooth_motion
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.driven import DrivenArm, Followed, follow
-from rrr_oc.codesign.optimum import SAVED, SampledMotion, known_parameters
+from rrr_oc.codesign.optimum import SampledMotion, known_parameters
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, reference_phases, repaired
@@ -23,7 +22,6 @@ from rrr_oc.errors import UserError
 from rrr_oc.report.design_report import transfer_table
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot, urdf_text
-from rrr_oc.simulation.engine_model import K_P
 
 
 def calibrated(dry=0.0, viscous=0.0, armature=0.0):
@@ -40,28 +38,7 @@ def calibrated(dry=0.0, viscous=0.0, armature=0.0):
 
 @pytest.fixture(scope="module")
 def moved() -> tuple[CoDesign, SampledMotion, np.ndarray]:
-    """Polynomials from start to release and back with springs of the paper's size; no optimum, but smooth and at rest at the ends."""
-    task = load_task("paper")
-    design = CoDesign(task, spring_bounds(task, "PEA"))
-    theta = design.model.theta(
-        {
-            "parallel_spring[joint2]": {"stiffness": 8.0, "equilibrium": 2.0},
-            "parallel_spring[joint3]": {"stiffness": 0.7, "equilibrium": 2.3},
-        }
-    )
-    a, b = np.radians([[75.52], [-151.04]]), np.radians([[48.19], [-96.38]])
-    parts = []
-    for i, (one, two) in enumerate(((a, b), (b, a))):
-        s, period = np.linspace(0, 1, 400), 2.0
-        q = one + (two - one) * (10 * s**3 - 15 * s**4 + 6 * s**5)
-        dq = (two - one) * (30 * s**2 - 60 * s**3 + 30 * s**4) / period
-        ddq = (two - one) * (60 * s - 180 * s**2 + 120 * s**3) / period**2
-        payload = task.payloads[i]
-        tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, theta, design.model.widths))
-        signals = (q, dq, ddq, tau, spring, np.full(400, i), np.full(400, payload), np.zeros((3, *q.shape)))
-        parts.append((s * period + i * period, *signals))
-    columns = [np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]
-    return design, SampledMotion(**dict(zip(SAVED, columns, strict=True))), theta
+    return smooth_motion()
 
 
 def test_without_friction_the_engine_gives_the_motions_own_cost(moved):
@@ -220,72 +197,6 @@ def test_a_model_of_other_joints_is_refused(moved):
     shifted = of_some(task, ("joint1", "joint2"), (nominal_term(CATALOGUE["payload_com"](())),))
     with pytest.raises(UserError, match="payload_com is of a payload on joint2; the task's is carried by joint3"):
         of_all_joints(task, shifted)
-
-
-# with drives, under two controls
-
-
-@pytest.fixture(scope="module")
-def arm(moved):
-    design, _, theta = moved
-    drives = load_actuators(design.task.joints)
-    return DrivenArm(design, theta, replace(drives, resistance=np.array([1.0, 1.5]), regeneration=np.array([0.0, 0.3])))
-
-
-@pytest.fixture(scope="module")
-def followed(arm, moved) -> dict[str, Followed]:
-    worse, motion = replace(arm, payload=1.1, friction=1.3), moved[1]
-    return {
-        "P": follow(arm, motion, "P"),
-        "feed-forward": follow(arm, motion, "feed-forward"),
-        "P, other arm": follow(worse, motion, "P"),
-        "feed-forward, other arm": follow(worse, motion, "feed-forward", arm),
-    }
-
-
-def test_with_feed_forward_the_motors_do_what_the_equations_say(arm, moved, followed):
-    """E1 of the plan, and its energy by Eq. 7 to 11, from the engine's motor torque alone."""
-    motion, drives, energy = moved[1], arm.drives, 0.0
-    for k in motion.phases():
-        current = [
-            np.array(drives.current(*column)).astype(float).ravel()
-            for column in zip(motion.dq[:, k].T, motion.ddq[:, k].T, motion.tau_load[:, k].T, strict=True)
-        ]
-        power = drives.resistance[:, None] * np.square(current).T + drives.torque_constant[:, None] * motion.dq[
-            :, k
-        ] * np.transpose(current)
-        counted = np.maximum(power, 0) - drives.regeneration[:, None] * np.maximum(-power, 0)
-        energy += np.trapezoid(counted.sum(axis=0), motion.t[k])
-    found = followed["feed-forward"]
-    planned = motion.metrics().E1_total
-    assert pytest.approx(planned, rel=2e-3) == found.E1  # 400 samples a phase
-    assert found.energy == pytest.approx(energy, rel=2e-3)
-    assert found.rms_error < 1e-4
-    assert not found.saturated
-
-
-def test_p_control_lags_by_the_motor_torque_over_its_gain(arm, moved, followed):
-    """k_p (q_ref − q) is the whole torque; the motion is slow enough that the lag hardly changes it."""
-    squares, time = 0.0, 0.0
-    for phase, theta in zip(moved[1].by_phase(arm.design.task), arm.thetas, strict=True):
-        lag = arm.motor_torque(phase, np.zeros((3, *phase.q.shape)), theta)[1:] / K_P
-        squares, time = squares + np.trapezoid((lag**2).mean(axis=0), phase.t), time + phase.t[-1]
-    assert followed["P"].rms_error == pytest.approx(np.sqrt(squares / time), rel=0.1)
-    assert followed["P"].end_error > 100 * followed["feed-forward"].end_error
-
-
-def test_an_arm_unlike_the_known_one_is_followed_less_well(followed):
-    for control in ("P", "feed-forward"):
-        assert followed[f"{control}, other arm"].energy > 1.1 * followed[control].energy
-        assert followed[f"{control}, other arm"].rms_error > followed[control].rms_error
-    assert followed["feed-forward, other arm"].rms_error < 0.5 * followed["P, other arm"].rms_error
-
-
-def test_an_unknown_control_is_refused(arm, moved):
-    with pytest.raises(UserError, match="control is 'PID'; allowed are P, feed-forward"):
-        follow(arm, moved[1], "PID")
-    with pytest.raises(UserError, match="resistance_Ohm of joint2, joint3"):
-        follow(replace(arm, drives=load_actuators(arm.design.task.joints)), moved[1], "P")
 
 
 def test_a_stiff_arm_with_effects_starts_from_a_motion_with_these(moved):

@@ -13,15 +13,17 @@ import mujoco
 import numpy as np
 import pytest
 from commands import heeds_ctrl_c
+from commands import rrr_oc as run
 from prototype import write_prototype
 from recorded import Plant, as_set, real, record
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli
-from rrr_oc.commands import COMMANDS, load, shared
-from rrr_oc.commands import diagnose as diagnose_command
+from rrr_oc.commands import COMMANDS, load
+from rrr_oc.diagnosis import procedure
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import STATUSES
+from rrr_oc.recordings import reader
 from rrr_oc.recordings.writer import save_recordings
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
@@ -38,14 +40,6 @@ def folder(tmp_path_factory) -> Path:
             cli.main()
     assert ended.value.code == 0
     return folder
-
-
-def run(monkeypatch, *arguments) -> int:
-    """Exit status of the command."""
-    monkeypatch.setattr(sys, "argv", ["rrr-oc", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
 
 
 def files(folder: Path) -> dict[Path, bytes]:
@@ -84,13 +78,13 @@ def test_evaluate_writes_all_that_is_asked_for(folder, monkeypatch, tmp_path, ca
 
 def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, capsys):
     (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
-    given, found = [], diagnose_command.diagnose_recordings
+    given, found = [], procedure.diagnose
 
     def noting(recordings, report, priors, kept):
         given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
         return found(recordings, report, priors, kept)
 
-    monkeypatch.setattr(diagnose_command, "diagnose_recordings", noting)
+    monkeypatch.setattr(procedure, "diagnose", noting)
     options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]
     assert run(monkeypatch, "diagnose", folder / "set", "--out", tmp_path / "o", *options) == 0
     ((priors, threads),) = given
@@ -235,7 +229,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(shared, "load_recordings", interrupted)
+    monkeypatch.setattr(reader, "load_recordings", interrupted)
     assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o") == 130
     assert capsys.readouterr().err == "Interrupted.\n"
     assert not (tmp_path / "o").exists()
@@ -243,7 +237,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
 
 def test_a_place_that_cannot_be_written_is_told_before_the_work(folder, monkeypatch, tmp_path, capsys):
     """Not a question of rights: tests may run as root, whom the kernel lets write everywhere but into its own files."""
-    monkeypatch.setattr(shared, "load_recordings", lambda _: pytest.fail("it began to work"))
+    monkeypatch.setattr(reader, "load_recordings", lambda _: pytest.fail("it began to work"))
     for arguments in (["calibrate", folder / "set", "--out"], ["diagnose", folder / "set", "--out"]):
         assert run(monkeypatch, *arguments, "/proc/results") == 2
         assert "/proc/results: cannot be written" in capsys.readouterr().err
@@ -283,17 +277,6 @@ def test_help_keeps_its_units(monkeypatch, capsys):
     assert "[s]" in capsys.readouterr().out
 
 
-def test_help_imports_nothing_heavy():
-    """What takes seconds before a word is said; in a process of its own, since this one has all of it."""
-    code = (
-        "import sys\nfrom rrr_oc import cli\nsys.argv = ['rrr-oc', '--help']\ntry:\n    cli.main()\nexcept SystemExit:\n    pass\n"
-        "print(sorted({'numpy', 'scipy', 'casadi', 'pinocchio', 'mujoco', 'joblib', 'matplotlib'} & set(sys.modules)))"
-    )
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "diagnose" in shown
-    assert shown.splitlines()[-1] == "[]"
-
-
 def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):
     for arguments in (["calibrate"], ["fly"], ["calibrate", "x", "--out", "y", "--way", "magic"]):
         assert run(monkeypatch, *arguments) == 2
@@ -309,29 +292,33 @@ def test_a_real_set_passes_through_calibrate_and_evaluate(monkeypatch, tmp_path,
     assert all(e["nrmse"] is not None and e["nrmse"] < 0.6 for e in result["mean"]["inverse"].values())
 
 
-HEAVY = {
-    "numpy",
-    "scipy",
-    "casadi",
-    "pinocchio",
-    "mujoco",
-    "joblib",
-    "matplotlib",
-    "msgspec",
-}  # packages that take long to import
+HEAVY = {"casadi", "matplotlib", "mujoco", "pinocchio", "scipy"}  # packages that take long to import
+WITH_LISTS = {"design", "effects", "excite", "export", "import", "init"}  # commands whose options list what heavy modules know
+
+
+def helped(*command: str) -> tuple[str, set[str]]:
+    """The help of a command, and the names of all modules that it imports, in a process of its own."""
+    code = f"import sys; sys.argv = {['rrr-oc', *command, '--help']}; from rrr_oc.cli import main\ntry: main()\nfinally: print(*sys.modules)"
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    text, modules = printed.rstrip().rsplit("\n", 1)
+    return text, set(modules.split())
 
 
 def test_help_imports_nothing_heavy_and_names_every_command():
     """The modules that are imported are what decides how long the help takes, on any machine."""
-    code = "import sys; sys.argv = ['rrr-oc', '--help']; from rrr_oc.cli import main\ntry: main()\nfinally: print(*sys.modules)"
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    text, modules = printed.rstrip().rsplit("\n", 1)
-    loaded = {name.split(".")[0] for name in modules.split()}
-    assert "typer" in loaded
-    assert not loaded & HEAVY
-    assert not [name for name in modules.split() if name.startswith("rrr_oc.commands.")]
+    text, modules = helped()
+    assert "typer" in modules
+    assert not modules & (HEAVY | {"numpy", "joblib", "msgspec"})
+    assert not [name for name in modules if name.startswith("rrr_oc.commands.")]
     assert all(f" {name} " in text for name in COMMANDS)
     assert all(str(status) in text for status in STATUSES)
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITH_LISTS))
+def test_help_of_a_command_imports_nothing_heavy(name):
+    text, modules = helped(name)
+    assert "--quiet" in text
+    assert not modules & (HEAVY | {"joblib"})
 
 
 @pytest.mark.parametrize("name", COMMANDS)

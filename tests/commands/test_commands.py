@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from chains import arm
+from commands import rrr_oc as run
 from recorded import Plant, as_set, record
 
-from rrr_oc import cli
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.commands import COMMANDS, load
@@ -27,14 +26,6 @@ from rrr_oc.robot.robot import load_robot
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 QUICK = ["--starts", "1", "--harmonics", "4", "--duration", "8"]
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit status of the command."""
-    monkeypatch.setattr(sys, "argv", ["rrr-oc", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
 
 
 def test_all_that_is_counted_has_an_upper_end():

@@ -134,7 +134,7 @@ def failing(*_):
 @pytest.mark.parametrize(
     ("module", "function", "step"),
     [
-        (command, "in_closed_loop", "tracking"),
+        (held_out, "in_closed_loop", "tracking"),
         (procedure, "suggest", "suggested recordings"),
         (classes, "as_good", "comparison: links in the place of quadratic_drag"),
         (alternatives, "equal_terms", "alternatives to quadratic_drag of j1"),

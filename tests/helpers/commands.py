@@ -22,9 +22,9 @@ def run(study: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> 
     return int(stop.value.code or 0)
 
 
-def rrr_oc(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+def rrr_oc(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     """The exit status of the command line."""
-    monkeypatch.setattr(sys, "argv", ["rrr-oc", *arguments])
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     return int(stop.value.code or 0)

@@ -30,7 +30,6 @@ from rrr_oc.commands.shared import check_apart
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.kept import kept_motion, once
-from rrr_oc.paper.run_store import Run
 from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.writer import save_recordings
@@ -49,6 +48,7 @@ from rrr_oc.storage import (
     write_npz,
     write_text,
 )
+from studies.paper.run_store import Run
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -487,7 +487,7 @@ def test_results_of_other_code_are_not_taken(tmp_path):
         Run(tmp_path, asked, code).finish({"E1": 1.0}, {})
         assert Run(tmp_path, {"a": 1}, "new").found is None
         assert Run(tmp_path, asked, code).found == {"E1": 1.0}
-    assert Run(tmp_path, {}).code == storage.code()
+    assert Run(tmp_path, {}).code.startswith(storage.code())
 
 
 @pytest.mark.parametrize("harm", ["settings", "code", "input", "new input", "result", "second result", "mark"])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from commands import run
 
-from rrr_oc.paper.comparison import summarise
-from rrr_oc.paper.run_store import Run, all_runs
-from rrr_oc.report.comparison_report import tables
 from rrr_oc.simulation.tracking import Reference
+from studies.paper.comparison import summarise
+from studies.paper.comparison_report import tables
+from studies.paper.run_store import Run, all_runs
 
 STUDY = Path(__file__).resolve().parents[2] / "studies" / "gradient_vs_evolution.py"
 

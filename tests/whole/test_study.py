@@ -103,6 +103,15 @@ def test_summary_holds_what_the_contract_says(summary, motions):
         )
 
 
+def test_springs_are_listed_as_parts(out, summary):
+    for name, found in summary["configurations"].items():
+        labels = {part["label"] for part in found["parts"]}
+        assert labels == {label for label in found["mounted"] if label not in found["tasks"]["paper"]["idle"]}, name
+        for part in found["parts"]:
+            assert part["energy_J"] == pytest.approx(part["load"] * part["greatest"] / 2)
+    assert "## Springs to order" in (out / "report.md").read_text()
+
+
 def test_springs_are_in_si_and_radians_and_within_bounds(summary):
     found = summary["configurations"]
     assert found["SA"]["springs"] == {}

@@ -18,11 +18,11 @@ from rrr_oc.effects.body.payload_mass import PayloadMass
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from studies import transfer as study
+from studies.paper.sweeps import PROTOTYPE_SWEEP
 
 ARMS = study.prototypes(3)
 EFFECTS = {"payload": PayloadMass(()), "spring": ParallelSpring((1,), "below"), "harness": CableHarness((2,))}

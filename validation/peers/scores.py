@@ -1,6 +1,6 @@
 """Who named what is concealed: the claims of `discovery.py` against the sealed truth, judged alike for all.
 
-A claim is right where the project's own score would have it (`studies/concealed_physics.py`): effect and joint are those of the truth,
+A claim is right where the project's own score would have it (`validation/concealed/naming.py`): effect and joint are those of the truth,
 or, by the independent plant's own Jacobian, equal to it on these data. A term that may mean several effects is right if one of them
 is, and of an effect that belongs to no single joint, a term on any joint is. What the project's tool lists as rivals does not count
 here, but in a column of its own. On an imperfect arm, which has small faults everywhere, naming one of these is no false alarm.
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.effects import CATALOGUE
-from studies.concealed_physics import ABSENT, how_named, place, small
+from validation.concealed.naming import ABSENT, how_named, place, small
 from validation.peers.discovery import OURS, PEERS
 
 PLAIN, ALL_OURS = "plain model", "rrr_oc, diagnose"

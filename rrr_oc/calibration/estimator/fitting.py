@@ -83,14 +83,12 @@ class PlainFitter:
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
         farthest: Declared standard deviations by which a link of a URDF may be off at most.
         holds_delays: Whether delays of the torque stay as they are.
-        delay: About which those of all joints lie [s]; None where each lies about 0, by what is usual.
     """
 
     data: Data
     plain_std: np.ndarray
     farthest: float = field(default=np.inf, kw_only=True)
     holds_delays: bool = field(default=False, kw_only=True)
-    delay: float | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -114,14 +112,9 @@ class PlainFitter:
         which laws that are not there would make up elsewhere; and a law that is missing looks like a delay of its joint. One clock takes
         the torques of all joints.
         """
-        late = [i for i, t in enumerate(fitted.model.terms) if isinstance(t.effect, Delay)]
-        if not late:
-            return 0.0
-        free = replace(self, holds_delays=False, delay=None)._least_squares(fitted)
-        firsts = np.cumsum([0, *(len(t.estimates) for t in free.model.terms)])
-        values = np.array([free.model.terms[i].values[0] for i in late])
-        root = root_of_covariance(free.posterior.matrix)[firsts[late]]
-        return weighted_median(values, 1 / (np.sum(root**2, axis=1) + APART**2))
+        free = replace(self, holds_delays=False)._least_squares(fitted)
+        at = delays_of(free)
+        return weighted_median(free.model.values[at], 1 / (variances_of_delays(free) + APART**2)) if len(at) else 0.0
 
     def holding(self, delay: float, fitted: Fitted) -> tuple[Self, Fitted]:
         """What holds a delay of all torques, and a fit with it."""
@@ -250,14 +243,15 @@ class PlainFitter:
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
         are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
-        about = self if self.holds_delays else replace(self, delay=self.delay_of(fitted))
-        cleared = self.data.in_noise(at_low_frequency(self.data, fitted).sigma)
-        found = replace(about, data=cleared)._least_squares(fitted)
+        near = self._least_squares(fitted)
+        cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
+        found = replace(self, data=cleared, holds_delays=True)._least_squares(near)
         of_noise = bent(found.posterior, fitted.posterior.hyper.discrepancy)
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
         whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
-        of_blocks = std_by_blocks(found.posterior)
-        return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=of_blocks)
+        std, number = std_by_blocks(found.posterior)
+        std[delays_of(near)] = np.sqrt(variances_of_delays(near))  # rows without the time of reversals tell less of delays
+        return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=(std, number))
 
     def _least_squares(self, fitted: Fitted) -> Fitted:
         """The fit whose noise is white, as strong as that of a fit at frequency 0, without a discrepancy."""
@@ -308,11 +302,10 @@ class PlainFitter:
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
         farthest, number = np.full(k, self.farthest), np.arange(end)
         delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
-        spread = HELD if self.holds_delays else self.plain_std if self.delay is None else APART
-        std = np.where(delays, spread, self.plain_std)
-        to_delay = np.where(delays & (not self.holds_delays), (self.delay or 0.0) - values[:plain], 0.0)
+        std = np.where(delays & self.holds_delays, HELD, self.plain_std)
+        to_none = np.where(delays & (not self.holds_delays), -values[:plain], 0.0)
         return Prior(
-            mean=np.concatenate([to_delay, mean, -links, 0 * widths]),  # of other plain terms so wide that it draws nothing
+            mean=np.concatenate([to_none, mean, -links, 0 * widths]),  # of other plain terms so wide that it draws nothing
             precision=np.concatenate([std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
@@ -326,6 +319,16 @@ class PlainFitter:
         if terms:
             raise ValueError(f"no prior of {', '.join(t.effect.name for t in terms)}; a model of plain terms is required")
         return np.zeros((5, 0))
+
+
+def delays_of(fitted: Fitted) -> np.ndarray:
+    """Numbers of the delays among the parameters of a fit's terms."""
+    return np.flatnonzero([isinstance(t.effect, Delay) for t in fitted.model.terms for _ in t.estimates])
+
+
+def variances_of_delays(fitted: Fitted) -> np.ndarray:
+    """Of its posterior [s²]."""
+    return np.sum(root_of_covariance(fitted.posterior.matrix)[delays_of(fitted)] ** 2, axis=1)
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:

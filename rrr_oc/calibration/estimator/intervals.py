@@ -98,9 +98,7 @@ def undetermined(fitted: Fitted) -> np.ndarray:
     post, size = fitted.posterior, len(fitted.model.values)
     variance, plain = np.diag(covariance(fitted, bent=False)), sum(len(t.estimates) for t in fitted.model.terms[: fitted.base])
     delays = [isinstance(t.effect, Delay) for t in fitted.model.terms for _ in t.estimates]
-    before = np.where(
-        delays, CLOCK_ERROR**-2, post.prior.precision[:size]
-    )  # of a delay before it was drawn to those of other joints
+    before = np.where(delays, CLOCK_ERROR**-2, post.prior.precision[:size])  # of a delay before it was held
     left = (variance[:size] * before > OPEN) & (np.arange(size) < plain)
     return left if post.data.free else left | rank.undetermined(post.likelihood)[:size]
 

@@ -15,10 +15,10 @@ from rrr_oc.codesign.search.local_optima import (
     refined,
 )
 from rrr_oc.codesign.search.motions import LEAST_GAIN, Covered, MotionSearch, combined
-from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, dimensions, sobol_points
-from rrr_oc.codesign.search.starts import Polisher, Start, polish
+from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.search.starts import Start
 from rrr_oc.optimal_control.problem import Guess
-from rrr_oc.optimal_control.solver import Solution, SolverFailure
+from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.parallel import ordered
 from rrr_oc.progress import Progress, Step
 
@@ -94,24 +94,6 @@ def solve_multistart(
     found = coarse or coarse_search([design], options, progress, polished=polished)
     optima = _best_optima(found, known, progress)
     return SearchResult(design, optima, found.starts, found.interrupted, found.search.covered if found.search else Covered())
-
-
-def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:
-    """Solve from one Sobol point after the other, each on the fine mesh with the smallest smoothing width, until one costs no more
-    than `target`.
-
-    Returns:
-        The number of starts, and the solution; None where `options.starts` were not enough.
-    """
-    polisher = Polisher(design, options)
-    for index, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed)):
-        start = polish(*polisher.proposal(LAYERS[0], vector, index))
-        if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs change the cost by far less
-            continue
-        found = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
-        if found is not None and found.cost <= target:
-            return index + 1, found.solution
-    return options.starts, None
 
 
 def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from rrr_oc.commands.moving.sources import chosen, designed, recorded
 from rrr_oc.commands.output import Output, Quiet
 from rrr_oc.commands.shared import check_apart, loaded
-from rrr_oc.report.moving.animation import Renderer, animate
+from rrr_oc.errors import ends_at_once
+from rrr_oc.report.moving import Renderer
 from rrr_oc.storage import check_file
 
 app = typer.Typer(add_completion=False)
@@ -29,6 +29,9 @@ def command(
 
     A spring's colour is its tension, from grey, slack, to red. The springs of a design are those of the summary.json beside it.
     """
+    with ends_at_once():
+        from rrr_oc.commands.moving.sources import chosen, designed, recorded
+        from rrr_oc.report.moving.animation import animate
     output = Output(quiet)
     check_file(out)
     if source.is_dir():

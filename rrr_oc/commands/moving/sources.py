@@ -1,21 +1,29 @@
 """Scenes from what commands are given: the npz of a design, or a recording."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model
+from rrr_oc.calibration.prediction_error import simulated
 from rrr_oc.codesign.springs import saved_springs
 from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.commands.output import Output
+from rrr_oc.commands.shared import loaded
 from rrr_oc.effects import Clutched, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.moving.scene import Scene, ShownSpring
+from rrr_oc.report.moving.viewer import Shown
 from rrr_oc.storage import read_npz
 
 SUMMARY = "summary.json"  # of a study, beside the npz of its designs
+WAY = 2.0  # [s] from the start of a task to its release, where only the task is shown
 
 
 def designed(source: Path, name: str | None) -> Scene:
@@ -75,3 +83,40 @@ def chosen(recordings: RecordingSet, name: str | None) -> Recording:
     if name is not None and name not in every:
         raise UserError(f"{recordings.path}: has no recording {name!r}; there are {', '.join(every)}")
     return every[name] if name is not None else recordings.recordings[0]
+
+
+def choices(source: str, task: str | None, model: Path | None, output: Output) -> tuple[list[str], Callable[[str], Shown]]:
+    """What can be chosen of a task, a design or recordings, and what belongs to each name.
+
+    Raises `UserError` for a model without recordings, and as `designed` does.
+    """
+    path = Path(source)
+    if path.is_dir():
+        recordings, calibrated = loaded(path, output), None if model is None else load_model(model)
+        return [r.file for r in recordings.recordings], cache(lambda name: _recording(recordings, calibrated, name))
+    if model is not None:
+        raise UserError("--model goes with a folder of recordings, which the model tracks")
+    scene = designed(path, task) if path.suffix == ".npz" else _of_task(source)
+    return [scene.title], lambda _: Shown(scene)
+
+
+def _of_task(name: str) -> Scene:
+    """A task: from its start to its release along the straight way of the joints, with the payload, and back without."""
+    task, s = load_task(name), np.linspace(0, 1, 101)
+    way = (1 - np.cos(np.pi * s)) / 2
+    go = task.start[:, None] + (task.release - task.start)[:, None] * way
+    t = WAY * np.concatenate([s, 1 + s[1:]])
+    payload = np.where(np.arange(t.size) < s.size, task.payload, 0.0)
+    q = task.full(np.concatenate([go, go[:, -2::-1]], axis=1))
+    return Scene(task.robot, task.tool, t, q, {}, (), payload, f"start and release of task {task.name}")
+
+
+def _recording(recordings: RecordingSet, model: CalibratedModel | None, name: str) -> Shown:
+    """A recording, beside what the model does while it tracks it."""
+    one = replace(recordings, recordings=tuple(r for r in recordings.recordings if r.file == name))
+    scene = recorded(one, one.recordings[0])
+    if model is None:
+        return Shown(scene)
+    found = simulated(model, one)[name]
+    torque = found.tau_load if recordings.torque == "load" else found.tau_motor
+    return Shown(replace(scene, torques={**scene.torques, "model in MuJoCo": torque}), found.q)

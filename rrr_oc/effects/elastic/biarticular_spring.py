@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.effects.base import Prior, Signals
 from rrr_oc.effects.capabilities import NativeTwin
-from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.design_form import Axis, DesignForm, Quantity
 from rrr_oc.effects.springs import DesignSpring, LinkSpring, ListedSpring, Listing
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
@@ -82,6 +82,22 @@ class BiarticularForm(DesignForm):
     def exists(self, theta, bounds):
         return hardware_exists(theta[0], theta[1], theta[2], self._called(bounds))
 
+    def axis(self, hardware, joints):
+        """The pulley of radius r_1, from which the cable goes on."""
+        k_b, q_0, r_1, r_2, _ = (hardware[q.symbol] for q in self.quantities)
+        return Axis(k_b, q_0, r_2 / r_1, r_1)
+
+    def inverse_radii(self, theta, bounds, fixed):
+        """1/r_2 with the largest r_2, where r_3 = rho r_2 and r_1 = phi r_2/q_0 are within their bounds, too."""
+        if fixed:
+            return (1 / self._called(fixed)["r_2"],)
+        (q_low, q_high), r_1, r_2, r_3 = (self._called(bounds)[name] for name in ("q_0", "r_1", "r_2", "r_3"))
+        return 1 / r_2[1], theta[1] / r_3[1], theta[2] / (q_high * r_1[1]), theta[2] / (q_low * r_1[1])
+
+    def with_largest_pulleys(self, theta, bounds):
+        r_2 = max(1 / max(self.inverse_radii(theta, bounds, {})), self._called(bounds)["r_2"][0])
+        return {**bounds, **self._by_symbol({"r_2": (r_2, r_2)})}
+
     def strongest(self, lower, upper, bounds):
         """kappa = k_b / s² is greatest where s = r_1/r_2 is least: with r_2 at its largest, as far as phi = s q_0 allows."""
         bounds = self._called(bounds)
@@ -134,16 +150,16 @@ class Biarticular(LinkSpring, DesignSpring, NativeTwin):
         if len(self.winding) != 2 or any(w not in (-1, 1) for w in self.winding):
             raise UserError(f"a biarticular spring's winding is a pair of +1 or -1, got {self.winding}")
 
-    def _stretch(self, signals, theta):
+    def stretch(self, signals, theta):
         (a, b), (wa, wb) = self.joints, self.winding
         return -wa * signals.q[a] - wb * theta["rho"] * signals.q[b] - theta["phi"]
 
     def torque(self, signals, theta, width):
-        pull = theta["kappa"] * ramp(self._stretch(signals, theta), width)
+        pull = theta["kappa"] * ramp(self.stretch(signals, theta), width)
         return self.winding[0] * pull, self.winding[1] * theta["rho"] * pull
 
     def energy(self, signals, theta, width):
-        return theta["kappa"] * ramp_integral(self._stretch(signals, theta), width)
+        return theta["kappa"] * ramp_integral(self.stretch(signals, theta), width)
 
     def lever(self, theta):
         return self.winding[0], self.winding[1] * theta["rho"]
@@ -225,7 +241,7 @@ class BiarticularSpring(Biarticular, ListedSpring):
         """The typical torque, on both joints as the geometric mean, is that at the recorded position that stretches the spring most."""
         number, unit = (prior or self.prior).typical["kappa"]
         theta, (a, b) = trial.points[0], self.joints
-        stretch = float(np.max(self._stretch(Signals(view.positions), theta)))
+        stretch = float(np.max(self.stretch(Signals(view.positions), theta)))
         typical = math.sqrt(view.unit(unit, (a,)) * view.unit(unit, (b,)) / theta["rho"])
         return np.array([number * typical / max(stretch, 1e-3)])
 

@@ -64,14 +64,14 @@ class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
     def _sign(self) -> int:
         return 1 if self.active == "below" else -1
 
-    def _deflection(self, signals, theta):
+    def stretch(self, signals, theta):
         return self._sign * (theta["equilibrium"] - signals.q[self.joints[0]])
 
     def torque(self, signals, theta, width):
-        return (self._sign * theta["stiffness"] * ramp(self._deflection(signals, theta), width),)
+        return (self._sign * theta["stiffness"] * ramp(self.stretch(signals, theta), width),)
 
     def energy(self, signals, theta, width):
-        return theta["stiffness"] * ramp_integral(self._deflection(signals, theta), width)
+        return theta["stiffness"] * ramp_integral(self.stretch(signals, theta), width)
 
     def native(self, spec, joints, theta):
         """A fixed tendon over one joint; its spring is slack between `springlength`'s two lengths."""

@@ -7,18 +7,18 @@ from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 
 from rrr_oc.errors import UserError
 from rrr_oc.report.figures import COLOURS, FOOTER, plt
+from rrr_oc.report.moving import Renderer
 from rrr_oc.report.moving.rendering import SIZE, NoRenderer, rendered
 from rrr_oc.report.moving.scene import Scene, tension_colour
 from rrr_oc.storage import new_file
 
-Renderer = Literal["mujoco", "matplotlib"]
 FRAMES_PER_SECOND = 20  # of the picture
 WRITERS = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 DPI = 90  # of the picture
