@@ -303,9 +303,8 @@ class PlainFitter:
         farthest, number = np.full(k, self.farthest), np.arange(end)
         delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
         std = np.where(delays & self.holds_delays, HELD, self.plain_std)
-        to_none = np.where(delays & (not self.holds_delays), -values[:plain], 0.0)
         return Prior(
-            mean=np.concatenate([to_none, mean, -links, 0 * widths]),  # of other plain terms so wide that it draws nothing
+            mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
             precision=np.concatenate([std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
