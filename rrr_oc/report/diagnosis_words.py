@@ -282,7 +282,7 @@ def unexplained(u: Mapping[str, Any]) -> str:
     """A torque of which no law is sure, in a sentence."""
     carried = u["description"].partition("the model carries it as ")[2]
     some = f" in {listed(some_recordings(u))}" * bool(some_recordings(u))
-    head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and of no law is it sure"
+    head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and which law it follows is not sure"
     like = most_like(u)
     return f"{head}{f'; the model carries it as {carried}' * bool(carried)}.{f' {like}' * bool(like)}"
 

@@ -298,7 +298,7 @@ def test_names_are_words():
     found = [variable(name) for name in ("q_wrist_2_joint", "ddq_j2", "sign(dq_elbow_joint)", "load_torque")]
     assert found == ["the position of wrist 2", "the acceleration of j2", "the direction of elbow", "the load torque"]
     assert unexplained(TORQUE) == (
-        "A torque on elbow depends on the position of wrist 2 and the direction of elbow, and of no law is it sure; "
+        "A torque on elbow depends on the position of wrist 2 and the direction of elbow, and which law it follows is not sure; "
         "the model carries it as a sum of 3 cosines, valid in the ranges given."
     )
 
@@ -333,7 +333,7 @@ def test_a_torque_that_is_described_says_which_law_it_is_most_like_and_how_much(
     assert unexplained(TORQUE | {"most_like": LIKE}) == f"{unexplained(TORQUE)} {like}"
     found = {"effects": [], "unexplained": [TORQUE], "bootstrap": bootstrap(elbow_joint=(0.4, 0.2)), "mismatch": []}
     (claim,) = claims(found, ["0.csv"])
-    assert (claim.title, claim.law, claim.numbers) == ("Torque on elbow, of no sure law", "", "")
+    assert (claim.title, claim.law, claim.numbers) == ("Torque on elbow whose law is not sure", "", "")
     facts = dict(claim.facts)
     assert facts["Rests on"].startswith("Probability 97.0 % that it is there")
     assert facts["Could also be"].startswith("A law that the catalogue lacks, or a known one in another shape")

@@ -22,9 +22,7 @@ LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimat
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
 TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
-EARLY = (
-    0.005  # [s] by which friction may change sign earlier or later than the motion turns; doubled, delays are known less well
-)
+EARLY = 0.005  # [s] by which friction may change sign before or after the motion turns; doubled, inertia is known less well
 LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
 
@@ -113,16 +111,15 @@ class Data:
     def turns(self) -> np.ndarray:
         """What `cleared` takes off each joint's rows: how torques change if friction changes sign earlier than the motion turns, (n, M).
 
-        When it does differs from arm to arm by some ms, since bearings yield, joints stick and engines smooth friction. Inertia and
-        delays would make up for that. With an unknown time of the standard deviation `EARLY`, which changes torques by a column c, and
+        When it does differs from arm to arm by some ms, since bearings yield, joints stick and engines smooth friction. Inertia
+        would make up for that. With an unknown time of the standard deviation `EARLY`, which changes torques by a column c, and
         white noise of the deviation σ, rows are as in white noise if they lose the share 1 − 1/√(1 + |c|²/σ²) of their part along c;
         recording by recording, so that this holds for each by itself.
         """
         assert self.noise is not None
         every = [np.array([self._early(p.recording, j) for j in range(self.n)]) for p in self.prepared]
-        found = np.concatenate([p.passed(x, range(self.n)) for p, x in zip(self.prepared, every, strict=True)], axis=1)[
-            :, self.at
-        ]
+        passed = [p.passed(x, range(self.n)) for p, x in zip(self.prepared, every, strict=True)]
+        found = np.concatenate(passed, axis=1)[:, self.at]
         squares = np.array([np.sum(part**2, axis=1) for part in np.split(found, self.edges[1:-1], axis=1)]).T
         share = 1 - 1 / np.sqrt(1 + squares / np.maximum(self.noise, 1e-12)[:, None] ** 2)
         return found * np.repeat(np.sqrt(share / np.maximum(squares, 1e-24)), np.diff(self.edges), axis=1)
@@ -143,11 +140,9 @@ class Data:
 
     def cleared(self, x: np.ndarray) -> np.ndarray:
         """Rows (n, M) or (n, M, p) less what each recording has of `turns`, if noise is given."""
-        return (
-            x
-            if self.noise is None
-            else np.array([_cleared(one, turn, self.edges) for one, turn in zip(x, self.turns, strict=True)])
-        )
+        if self.noise is None:
+            return x
+        return np.array([_cleared(one, turn, self.edges) for one, turn in zip(x, self.turns, strict=True)])
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -220,7 +215,6 @@ class Data:
         dq_all = np.concatenate([np.abs(x.recording.dq) for x in self.every], axis=1)
         low, high = np.quantile(q_all, [0.002, 0.998], axis=1)
         speed = np.maximum(np.quantile(dq_all, 0.99, axis=1), 1e-3)
-        dry = dry_friction(start, self.torque, speed)
         for j in range(self.n):
             reach = max(3.0 * float(np.std(load[j])), 1e-6)
             span = max(high[j] - low[j], 1e-3)
@@ -235,7 +229,7 @@ class Data:
             slow = [np.exp(-((r.dq[j] / v) ** 2)) for v in SLOW]
             turned, one = sign(r.dq[j], SIGN), np.ones_like(load[j])
             steady = np.zeros((6 * len(self.prepared), len(one)))
-            torque, friction = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry[j]
+            torque, friction = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * self.dry[j]
             steady[6 * number : 6 * number + 6] = (
                 torque * one,
                 torque * load[j] / reach,

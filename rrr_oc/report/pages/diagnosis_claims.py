@@ -41,7 +41,7 @@ def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
     return [
         *(_claim(say.placed(e), say.told(e), e, found, files) for e in say.missing(found)),
         *(
-            _claim(f"torque on {joint_words(u['joint'])}, of no sure law", say.unexplained(u), u, found, files)
+            _claim(f"torque on {joint_words(u['joint'])} whose law is not sure", say.unexplained(u), u, found, files)
             for u in found["unexplained"]
         ),
     ]
