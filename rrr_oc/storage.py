@@ -25,6 +25,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 
 from rrr_oc.errors import UserError
@@ -176,7 +177,9 @@ def number(value: float | None) -> float | None:
 
 
 def plain(value: Any) -> Any:
-    """Plain data for JSON: numpy to Python, NaN and infinity to null."""
+    """Plain data for JSON: numpy and structs to Python, NaN and infinity to null."""
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.structs.asdict(value)
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

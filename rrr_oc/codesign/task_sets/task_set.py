@@ -120,11 +120,10 @@ class TaskSet:
     @property
     def contents(self) -> list[Any]:
         """All that the set says, as plain data, to tell whether two sets are the same."""
-        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files", "goals", "spring_limits")]
+        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files", "goals")]
         tasks = [
             {name: getattr(task, name) for name in of}
             | {"tool": task.tool.position, "goals": [goal and asdict(goal) for goal in task.goals]}
-            | {"spring_limits": msgspec.structs.asdict(task.spring_limits)}
             for task in self.tasks
         ]
         return plain([tasks, self.weights, self.objective, self.payload, self.model])
