@@ -40,11 +40,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.commands.shared import Jobs, Workers
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.diagnosis.structures.candidates import Screen
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import CATALOGUE, Effect, Trial
 from rrr_oc.effects.base import Prior
 from rrr_oc.effects.priors import Priors
@@ -270,7 +270,7 @@ def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recording
     """
     if not ways:
         return None
-    near = Search.of(fitter, ways).neighbours(fitted)
+    near = StructureSearch.of(fitter, ways).neighbours(fitted)
     here = near.at(near.linear.own, fitted.posterior.hyper, fixed=True)
     found = Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution).candidates()
     starts = [next((c for c in found if (c.scope is None) is whole), None) for whole in (True, False)]

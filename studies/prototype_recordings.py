@@ -26,7 +26,8 @@ from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, Standar
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.samples import Prepared, prepare
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.errors import entry_point
 from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings

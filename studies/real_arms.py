@@ -48,7 +48,8 @@ from sklearn.preprocessing import SplineTransformer, StandardScaler
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import error, evaluate_inverse
 from rrr_oc.calibration.samples import BLOCKS
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.header import HEADER

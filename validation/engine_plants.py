@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # (mujoco has no stubs)
 
 from rrr_oc.commands.shared import Jobs
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.parallel import unordered, workers
 from rrr_oc.recordings.reader import load_recordings

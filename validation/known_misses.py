@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.parameter_vector import widened
-from rrr_oc.diagnosis.findings import Finding
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose, ready
+from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.result import Diagnosis, Finding
 from rrr_oc.effects import BlackBox
 from rrr_oc.effects.black_box.empirical import STRAIGHT, Empirical
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring

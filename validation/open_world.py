@@ -29,10 +29,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.commands.shared import Jobs
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.procedure import diagnose, ready
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.priors import Priors
 from rrr_oc.errors import UserError, entry_point
@@ -91,7 +91,7 @@ def error_beside(recordings: RecordingSet, model: CalibratedModel, law: str) -> 
     """
     others = tuple(name for name in CATALOGUE if name != law)
     _, fitter, every, plain = ready(recordings, Priors(excluded=others))
-    search = Search.of(fitter, every)
+    search = StructureSearch.of(fitter, every)
     best = search.run(fitter.with_signs(fitter.fit(plain, fitter.data.links.none))).fitted
     if law not in [t.effect.name for t in best.extra]:
         return None

@@ -20,7 +20,7 @@ from rrr_oc.codesign.catalogue import catalogue_schema
 from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.task import TaskFile
 from rrr_oc.codesign.task_sets.task_set import TaskSetFile
-from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.effects import ListedSpring, design_forms
 from rrr_oc.effects.priors import Context, Given
 from rrr_oc.effects.words import words

@@ -8,6 +8,7 @@ import numpy as np
 
 from rrr_oc.effects import Delay, Effect, OfEach
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import offsets
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.shared_model import shared_model
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -128,6 +129,11 @@ class CalibratedModel:
     def values(self) -> np.ndarray:
         """The parameters of all terms, in their order."""
         return np.concatenate([np.zeros(0), *(term.values for term in self.terms)])
+
+    @property
+    def offsets(self) -> list[int]:
+        """Number of the first of `values` of each term, and last that of all."""
+        return offsets([term.effect for term in self.terms])
 
     def without_values(self, recordings: RecordingSet) -> dict[str, list[str]]:
         """Files of recordings for which effects with a value of its own in each have none, so that it counts as 0, by effect and joints."""

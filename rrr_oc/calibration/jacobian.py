@@ -111,16 +111,16 @@ class Prediction:
     def nonzero_by_parameters(self, inertial: bool = False) -> Columns:
         """As `by_parameters`, without those that are 0, as recorded without delays."""
         terms, physics, r = self.model.terms, self.physics, self.recording
-        sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
+        sizes, holds = np.diff(self.model.offsets), [t.holds_for(r) for t in terms]
         late = [isinstance(t.effect, Delay) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
         n, parts = self.model.robot.n, [Columns.none(len(r.t))]
-        size = sum(sizes) + (10 * n if inertial else 0)
+        size = self.model.offsets[-1] + (10 * n if inertial else 0)
         if not all(inexact):
             prompt = np.repeat(np.array(holds) & ~np.array(late), sizes)
             parts.append(self._sensitivity("theta", self.physics.inertial).placed(prompt, ~np.repeat(inexact, sizes)))
         if inertial:
-            parts.append(self._sensitivity("inertial", self.physics.inertial).moved(sum(sizes)))
+            parts.append(self._sensitivity("inertial", self.physics.inertial).moved(self.model.offsets[-1]))
         if any(effect.side == "sensor" for effect in physics.model.effects):
             dense = Columns.joined(parts, size).dense(n)
             for k in np.flatnonzero(np.any(dense, axis=(0, 1))):

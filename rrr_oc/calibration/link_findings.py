@@ -9,7 +9,7 @@ from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 from scipy.stats import norm
 
-from rrr_oc.calibration.estimator.evidence import Start
+from rrr_oc.calibration.estimator.evidence import NoiseStart
 from rrr_oc.calibration.estimator.fitting import FAR, Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import covariance, half_width
 from rrr_oc.calibration.estimator.left_out import surest_fall
@@ -157,7 +157,7 @@ def with_falls(fitter: PlainFitter, fitted: Fitted, found: Sequence[OffLink]) ->
         return []
     links, post = np.clip(fitted.links, -FAR, FAR), fitted.posterior
     model = renewed(fitted.model, robot=renewed(fitted.model.robot, inertial=fitter.data.links.at(links)[0]))
-    declared = renewed(fitter, farthest=FAR).fit(model, links, Start(post.hyper, post.joints), fixed=True)
+    declared = renewed(fitter, farthest=FAR).fit(model, links, NoiseStart(post.hyper, post.joints), fixed=True)
     return [replace(f, lowers_error=fall_against(fitted, declared)) for f in found]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.estimator.evidence import Start
+from rrr_oc.calibration.estimator.evidence import NoiseStart
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import covariance
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
@@ -43,11 +43,11 @@ def common_delay(fitter: PlainFitter, fitted: Fitted) -> tuple[Term, Fall, float
     Returns:
         The term, the fall of the error on the joint where it is surest against torques that are not late, and the p-value.
     """
-    terms, firsts = fitted.model.terms, np.cumsum([0, *(len(t.estimates) for t in fitted.model.terms)])
+    terms = fitted.model.terms
     late = [i for i, t in enumerate(terms) if isinstance(t.effect, Delay)]
     if not late:
         return None
-    at, values = firsts[late], np.array([terms[i].values[0] for i in late])
+    at, values = [fitted.model.offsets[i] for i in late], np.array([terms[i].values[0] for i in late])
     spread = covariance(fitted)[np.ix_(at, at)] + CLOCK_ERROR**2 / 9 * np.eye(len(at))  # joints differ by a millisecond
     weights = np.linalg.solve(spread, np.ones(len(at)))
     mean, std = float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)
@@ -65,5 +65,5 @@ def _prompt(fitter: PlainFitter, fitted: Fitted, at: Sequence[int] | np.ndarray)
     model, post = fitted.model, fitted.posterior
     held = np.where(np.isin(np.arange(len(fitter.plain_std)), at), HELD, fitter.plain_std)
     terms = tuple(t.with_values(0 * t.values) if isinstance(t.effect, Delay) else t for t in model.terms)
-    start = Start(post.hyper, post.joints)
+    start = NoiseStart(post.hyper, post.joints)
     return replace(fitter, plain_std=held).fit(replace(model, terms=terms), fitted.links, start, fixed=True)

@@ -13,6 +13,7 @@ from msgspec import Meta
 from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Estimate, Term
 from rrr_oc.effects import CATALOGUE, BlackBox, Effect
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import offsets
 from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
@@ -235,7 +236,7 @@ def spread_of(entry: Spread | None, terms: Sequence[Term], robot: Robot, where: 
     """`CalibratedModel.spread` of an entry; raises `UserError`, which says `where`, unless its rows have a number for each parameter."""
     if entry is None:
         return None
-    wanted = sum(len(t.estimates) for t in terms) + 10 * robot.n
+    wanted = offsets([t.effect for t in terms])[-1] + 10 * robot.n
     for i, change in enumerate(entry):
         if len(change) != wanted:
             raise UserError(f"{where}[{i}]: found {len(change)} numbers; {wanted} are required, of all parameters and links")

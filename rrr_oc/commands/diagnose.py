@@ -30,7 +30,7 @@ from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
 
 if TYPE_CHECKING:
-    from rrr_oc.diagnosis.procedure import Diagnosis
+    from rrr_oc.diagnosis.result import Diagnosis
 
 app = typer.Typer(add_completion=False)
 
@@ -55,9 +55,9 @@ def diagnose(
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
     with ends_at_once():
-        from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
-        from rrr_oc.diagnosis.files.stages import SHARES
+        from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
         from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
+        from rrr_oc.diagnosis.stages import SHARES
         from rrr_oc.effects.priors import load_priors
         from rrr_oc.effects.words import words
         from rrr_oc.report.diagnosis_report import FILES, write_diagnosis

@@ -12,10 +12,10 @@ from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.model_file import alternative_entry, alternative_of
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, contribution, equal_terms, negligible, shown_as
+from rrr_oc.diagnosis.findings import contribution, equal_terms, negligible
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import NEGLIGIBLE
-from rrr_oc.diagnosis.suggestion import Suggestion
+from rrr_oc.diagnosis.result import LINK_ERRORS, Finding, Key, Suggestion, shown_as
 from rrr_oc.effects import LinkSpring
 from rrr_oc.effects.words import listed
 from rrr_oc.errors import noted
@@ -49,11 +49,11 @@ def beside(
         claimed, worse: What is in the reported model, and what does not lower the error.
         undecided: Whether links stand for one of these effects there.
     """
-    (known, gone) = ({id(f.term) for f in some} for some in (claimed, worse))
-    more = tuple(shown_as(t) for t in complete.extra if id(t) not in known | gone)
+    (known, gone) = ({f.term for f in some} for some in (claimed, worse))
+    more = tuple(shown_as(t) for t in complete.extra if t not in known | gone)
     if not more:
         return []
-    terms = tuple(t for t in complete.model.terms if id(t) not in gone)
+    terms = tuple(t for t in complete.model.terms if t not in gone)
     model = replace(complete.model, terms=terms)
     fitted = fitter.fit(model, complete.links, complete.posterior) if gone else complete
     return [Exchange(fitted, more, (LINK_ERRORS,) if undecided else ())]
@@ -192,7 +192,7 @@ def _named(key: Key, joints: Sequence[str]) -> str:
 
 def _first(model: CalibratedModel, term: Term) -> int:
     """Number of a term's first parameter."""
-    return sum(len(t.estimates) for t in itertools.takewhile(lambda t: t is not term, model.terms))
+    return model.offsets[model.terms.index(term)]
 
 
 def _with(model: CalibratedModel, term: Term, other: Term) -> CalibratedModel:

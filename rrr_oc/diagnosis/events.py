@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from msgspec import Struct
 from scipy.ndimage import median_filter
 from scipy.spatial import KDTree
 
@@ -17,7 +16,8 @@ from rrr_oc.calibration.estimator.data import EVERY, Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.samples import STRIDE, Prepared, kept_rows
 from rrr_oc.diagnosis.mismatch import signals_at_rows
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.result import Event
+from rrr_oc.diagnosis.structures.search import StructureSearch
 
 # deviations of a joint's error, of an event's peak and up to its ends; doubled, weak pushes stay in the fit
 FAR, NEAR = 10.0, 2.5
@@ -34,24 +34,6 @@ FUNCTIONS = 4  # of a joint that are tried, those of the largest gain
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
 STATE = ("q", "dq", "ddq", "load_torque")
 LEAST = 60  # rows from which deviations are known
-
-
-class Event(Struct, frozen=True, rename={"begin": "from", "end": "to"}):
-    """A stretch of time in which a joint's torque is not explained by anything.
-
-    Attributes:
-        joint: The joint.
-        recording: File of the recording.
-        begin: Time in the file at which it begins [s].
-        end: Time in the file at which it ends [s].
-        peak: Largest error of the plain model, smoothed as its rows are [Nm].
-    """
-
-    joint: str
-    recording: str
-    begin: float
-    end: float
-    peak: float
 
 
 def events(fitted: Fitted) -> list[Event]:
@@ -79,7 +61,7 @@ def events(fitted: Fitted) -> list[Event]:
     return result
 
 
-def unlike_laws(search: Search, begin: Fitted, some: Sequence[Event]) -> list[Event]:
+def unlike_laws(search: StructureSearch, begin: Fitted, some: Sequence[Event]) -> list[Event]:
     """Events of those joints of which no law of the catalogue and no function explains much there, in the linear problem about the plain
     fit."""
     if not some:

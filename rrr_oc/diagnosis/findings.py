@@ -1,7 +1,7 @@
 """What a search found: the probability of each effect over all structures that were visited, and what competes with it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,140 +11,16 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
-from rrr_oc.calibration.estimator.knobs import DISCREPANCY
-from rrr_oc.calibration.estimator.left_out import Fall
-from rrr_oc.diagnosis.knobs import CLAIM, MATTERS, NEGLIGIBLE
-from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
-from rrr_oc.diagnosis.structures.search import Search, State
-from rrr_oc.effects import Effect, OfEach
+from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
+from rrr_oc.diagnosis.result import Finding, Key, Possible, shown_as
+from rrr_oc.diagnosis.structures.neighbours import Identity, identity
+from rrr_oc.diagnosis.structures.search import FittedStructure, StructureSearch
+from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
 from rrr_oc.numerics.rank import pseudo_inverse
 
-LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand before its claim is said to rest on that
-Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
-LINK_ERRORS: Key = ("link_errors", ())  # as the links stand among what an effect cannot be told from
 
-
-def shown_as(term: Term) -> Key:
-    """Name and joints of a term's effect."""
-    return term.effect.name, term.effect.joints
-
-
-@dataclass(frozen=True)
-class Like:
-    """A law that a torque is most like.
-
-    Attributes:
-        term: The law.
-        reach: Share of what the best function of the same variables explains that it explains.
-    """
-
-    term: Term
-    reach: float
-
-
-@dataclass(frozen=True)
-class Finding:
-    """An effect that the plain model lacks.
-
-    Attributes:
-        term: The effect as a term of the extended model.
-        probability: That it or one of its rivals is present.
-        alone: That it itself is.
-        worth: Fall of the log posterior probability without it [nats].
-        p_value: Of its amplitudes being 0 (Wald's test).
-        rivals: Names and joints of effects that may be present in its place.
-        prior: What was believed of it before: its declared or given prior with the probability that it has on this arm.
-        fall: By how much it lowers the error of a joint on data that it was not fitted to.
-        innovations: The same of the error's innovations, which a slow disturbance does not hide.
-        like: Of a black-box term: the law that it is most like.
-        reach: Of a law: share of what the best flexible function in its place explains that it explains; None where that was not asked.
-        with_function: Whether it is not named, but told with a function beside it, whose torque is most like it.
-    """
-
-    term: Term
-    probability: float
-    alone: float
-    worth: float
-    p_value: float
-    rivals: tuple[Key, ...] = ()
-    prior: Prior | None = None
-    fall: Fall | None = None
-    innovations: Fall | None = None
-    like: Like | None = None
-    reach: float | None = None
-    with_function: bool = False
-
-    @property
-    def joint(self) -> int:
-        """Where it is surest."""
-        assert self.fall is not None
-        return self.fall.joint
-
-    @property
-    def of_torque(self) -> float:
-        """By how much the error or its innovations fall, over the joint's torque."""
-        return max((f.of_torque for f in (self.fall, self.innovations) if f), default=0.0)
-
-    @property
-    def matters(self) -> bool:
-        """Whether it lowers the error of a joint, or the error's innovations, by a share that matters; a function by more than the best law
-        may be wrong."""
-        least = DISCREPANCY if self.term.effect.black_box else 0.0
-        return any(f.share >= MATTERS and f.explained >= least for f in (self.fall, self.innovations) if f)
-
-    @property
-    def of_each(self) -> bool:
-        """Whether it has another value in each recording."""
-        return isinstance(self.term.effect, OfEach) and bool(self.term.effect.each)
-
-    @property
-    def key(self) -> Key:
-        """Name and joints."""
-        return shown_as(self.term)
-
-    def met_by(self, term: Term) -> bool:
-        """Whether a term is this effect, one that may be in its place, or black-box as it is."""
-        return kind(term.effect) == kind(self.term.effect) or shown_as(term) in self.rivals
-
-    @property
-    def rests_on_prior(self) -> bool:
-        """Whether it would not be claimed, had its odds beforehand been `LESS_PROBABLE` times lower.
-
-        Posterior odds are prior odds times the Bayes factor, so that they would be lower by as much.
-        """
-        return self.probability * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - self.probability)
-
-
-@dataclass(frozen=True)
-class Undecided:
-    """Effects of which one, or else errors of the links, explains a mismatch; they say different things of the arm.
-
-    Attributes:
-        terms: The effects, the most probable first.
-        probability: That one of all these is there.
-    """
-
-    terms: tuple[Term, ...]
-    probability: float
-
-    @property
-    def contested(self) -> Finding:
-        """The first effect with the others as its rivals."""
-        rivals = (*map(shown_as, self.terms[1:]), LINK_ERRORS)
-        return Finding(self.terms[0], self.probability, self.probability, 0.0, 1.0, rivals)
-
-
-@dataclass(frozen=True)
-class Possible:
-    """An effect that may be present but is not claimed."""
-
-    key: Key
-    groups: tuple[str, ...]
-    probability: float
-
-
-def probabilities(search: Search) -> list[tuple[frozenset, float]]:
+def probabilities(search: StructureSearch) -> list[tuple[frozenset, float]]:
     """Structures that were visited, by their effects, with their posterior probabilities."""
     scores = {**search.predicted, **search.visited}
     total = np.logaddexp.reduce(list(scores.values()))
@@ -156,7 +32,7 @@ def identities(structure: frozenset) -> set[Identity]:
     return {identity(effect) for effect, *_ in structure}
 
 
-def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
+def found(search: StructureSearch, at: FittedStructure) -> tuple[list[Finding], list[Possible]]:
     """The findings of a search, most important first, and what is possible beside them."""
     every, worths = probabilities(search), search.worths(at)
     share: dict[Identity, float] = {}
@@ -170,10 +46,7 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
         both = sum(p for structure, p in every if identities(structure) & {own[i], *others})
         rivals = (*(other[:2] for other in others), *map(shown_as, equal_terms(search.fitter.data, at.fitted, i)))
         shown = tuple(dict.fromkeys(rival for rival in rivals if rival != own[i][:2]))
-        alone = share.get(own[i], 1.0)
-        findings.append(
-            Finding(term, min(both, 1.0), alone, worths[i], wald(at.fitted, i), shown, _before(search, term.effect))
-        )
+        findings.append(Finding(term, min(both, 1.0), worths[i], wald(at.fitted, i), shown, _before(search, term.effect)))
         named |= set(others)
     sizes = [contribution(search.fitter.data, at.fitted, i) for i in range(len(findings))]
     claimed = [f for f, size in zip(findings, sizes, strict=True) if f.probability >= CLAIM and size >= NEGLIGIBLE]
@@ -182,23 +55,23 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: (-p.probability, p.key))
 
 
-def further(search: Search, fitted: Fitted, first: int) -> list[Finding]:
+def further(search: StructureSearch, fitted: Fitted, first: int) -> list[Finding]:
     """The effects of a fit from this number on that do something there, each as sure as its removal says."""
-    worths, result = search.worths(State(fitted, 0.0)), []
+    worths, result = search.worths(FittedStructure(fitted, 0.0)), []
     for i, term in enumerate(fitted.extra):
         if i >= first and contribution(search.fitter.data, fitted, i) >= NEGLIGIBLE:
             p = float(expit(worths[i]))
-            result.append(Finding(term, p, p, worths[i], wald(fitted, i), prior=_before(search, term.effect)))
+            result.append(Finding(term, p, worths[i], wald(fitted, i), prior=_before(search, term.effect)))
     return result
 
 
 def moved(findings: Sequence[Finding], at: Fitted, to: Fitted) -> list[Finding]:
     """Findings of a fit with the terms of another, which has these effects first and in this order."""
-    numbers = {id(t): i for i, t in enumerate(at.extra)}
-    return [replace(f, term=to.extra[numbers[id(f.term)]]) for f in findings]
+    numbers = {t: i for i, t in enumerate(at.extra)}
+    return [replace(f, term=to.extra[numbers[f.term]]) for f in findings]
 
 
-def _before(search: Search, effect: Effect) -> Prior:
+def _before(search: StructureSearch, effect: Effect) -> Prior:
     """The prior of an effect, with its probability on this arm."""
     priors, view = search.fitter.priors, search.fitter.view
     return replace(priors.of(type(effect)), probability=priors.chance(effect, view))
@@ -257,7 +130,7 @@ def negligible(data: Data, change: np.ndarray) -> bool:
 def wald(fitted: Fitted, i: int) -> float:
     """P-value of the amplitudes of an effect, of those added to the plain model, being where it vanishes."""
     post, model = fitted.posterior, fitted.model
-    start = sum(len(t.estimates) for t in model.terms[: fitted.base + i])
+    start = model.offsets[fitted.base + i]
     effect = fitted.extra[i].effect
     own = [start + k for k, p in enumerate(effect.parameters) if p.name in effect.amplitudes]
     off = post.prior.mean[own] - post.step[own]

@@ -86,7 +86,7 @@ class Fitter(PlainFitter):
     families: dict[tuple, list[Trial]]
     priors: Priors
     _spans: dict[Effect, list[Span]] = field(default_factory=dict, repr=False, compare=False)
-    _scales: dict[int, tuple[Trial, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
+    _scales: dict[Trial, np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is computed again where it is needed: numbers of objects are others in another process."""
@@ -140,9 +140,9 @@ class Fitter(PlainFitter):
 
     def scales(self, trial: Trial) -> np.ndarray:
         """Prior standard deviations of a trial's coefficients, (m,)."""
-        if id(trial) not in self._scales:  # that trial is kept, so that no other is given its number
-            self._scales[id(trial)] = trial, self.priors.scales(self.view, trial)
-        return self._scales[id(trial)][1]
+        if trial not in self._scales:
+            self._scales[trial] = self.priors.scales(self.view, trial)
+        return self._scales[trial]
 
     def excess(self, term: Term) -> tuple[float, float]:
         """Of the widths that the prior of its amplitudes may have the likeliest, and the logarithm of what it is believed by."""

@@ -5,7 +5,7 @@ Errors before and after with bootstrap intervals, and while MuJoCo tracks the re
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import bootstrap
@@ -16,19 +16,16 @@ from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, mean_nrmse, summary
 from rrr_oc.calibration.samples import blocks_of
-from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
-from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import MATTERS
-from rrr_oc.diagnosis.structures.neighbours import Repetitions
-from rrr_oc.diagnosis.structures.search import Search, terms_of
+from rrr_oc.diagnosis.result import Diagnosis, Finding, Fold, shown_as
+from rrr_oc.diagnosis.stages import Stages
+from rrr_oc.diagnosis.structures.neighbours import Repetitions, kind
+from rrr_oc.diagnosis.structures.search import StructureSearch, terms_of
 from rrr_oc.effects import Effect
 from rrr_oc.errors import noted, tried
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
-
-if TYPE_CHECKING:
-    from rrr_oc.diagnosis.procedure import Diagnosis
 
 FOLDS = 4  # of the recordings, each held out once; twice as many double the time
 FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more
@@ -54,7 +51,7 @@ def folds_of(data: Data) -> list[list[int]]:
 
 
 def repeated(
-    search: Search, begin: Fitted, findings: Sequence[Finding], stages: Stages, failed: dict[str, str], again: str = ""
+    search: StructureSearch, begin: Fitted, findings: Sequence[Finding], stages: Stages, failed: dict[str, str], again: str = ""
 ) -> list[Fold]:
     """The folds, in which the search is repeated in the linear problems about its fits, if anything is claimed, from what it found on.
 
@@ -66,7 +63,7 @@ def repeated(
     """
     held = folds_of(search.fitter.data)
     names = [f"search without part {k} of {len(held)}{again}" for k in range(1, len(held) + 1)]
-    saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
+    saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name)) is not None}
     missing = [k for k in range(len(held)) if k not in saved]
     stages.progress.count("search without parts", len(saved), len(held), kind="parts")
     parts, calls = search.repetitions if missing and findings else None, []
@@ -79,7 +76,7 @@ def repeated(
         for k, fold in found:
             saved[k] = stages.keep(names[k], fold)
         stages.progress.count("search without parts", len(saved), len(held), kind="parts")
-    return [saved[k].fold(stages.start) for k in sorted(saved)]
+    return [saved[k] for k in sorted(saved)]
 
 
 def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding]) -> Start | None:
@@ -88,12 +85,13 @@ def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding])
     fitted, kept = near.linear.fitted, list[Term]()
     every = terms_of(fitted, best.structure, near.linear.fitter.data.labels)[fitted.base :]
     for f in findings:
-        kept += [t for t in every if f.met_by(t) and not any(t is k for k in kept)][:1]
+        same = [t for t in every if kind(t.effect) == kind(f.term.effect) or shown_as(t) in f.rivals]
+        kept += [t for t in same if not any(t is k for k in kept)][:1]
     terms = (*fitted.model.terms[: fitted.base], *kept)
     return (replace(fitted.model, terms=terms), fitted.links) if kept else None
 
 
-def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
+def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, Fold]:
     """A fold and its number; `start` is where the fit of what was found begins."""
     rest = fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held])
     train = replace(fitter, data=rest, holds_delays=False)
@@ -101,9 +99,9 @@ def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held:
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
     if start is None:
-        return number, FoldData.of(Fold(tuple(held), near.model, near.model, before, before))
+        return number, Fold(tuple(held), near.model, near.model, before, before)
     found = train.closest(train.fit(*start, plain.posterior, steps=1))
-    return number, FoldData.of(Fold(tuple(held), near.model, found.model, before, nrmse(test, found.model)))
+    return number, Fold(tuple(held), near.model, found.model, before, nrmse(test, found.model))
 
 
 def acts_on(effect: Effect, n: int) -> list[int]:
@@ -117,7 +115,7 @@ def nrmse(data: Data, model: CalibratedModel) -> np.ndarray:
     return np.array([error(r.t, tau, model.predicted_torque(r), r.segments)["nrmse"] for r, tau in every])
 
 
-def intervals(diagnosis: "Diagnosis") -> dict[str, dict[str, Any]]:
+def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     """Held-out NRMSE before and after and their ratio, by joint, each {"value": …, "interval": [low, high] or null}.
 
     Means over recordings; the 95 % intervals are percentiles of means over whole recordings (blocks of an only one) drawn with
@@ -186,7 +184,7 @@ def joints_made_worse(recordings: RecordingSet, folds: Sequence[Fold]) -> set[in
     return set(np.flatnonzero((after > (1 + MATTERS) * before) & there).tolist())
 
 
-def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:
+def in_closed_loop(diagnosis: Diagnosis) -> dict[str, Any]:
     """NRMSE of `prediction_error.SIGNALS` while the MuJoCo model tracks the recordings, before and after, by joint and signal.
 
     Each recording is tracked by the models found without it; a single recording by the models found on it.

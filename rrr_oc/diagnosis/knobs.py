@@ -10,5 +10,7 @@ MATTERS = 0.02
 EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}
 # Share of what the best function of some variables explains that a law must explain to be named; higher, more is only described.
 NAMED = 0.9
+# Residual over noise above which a joint has a mismatch whatever was found; doubled, fewer verdicts are "cannot tell".
+FAR = 3.0
 # Share of claims like it that are right from which a law is named; higher, more is only described.
 LIKELY = 0.5

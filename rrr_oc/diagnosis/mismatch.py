@@ -12,13 +12,13 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.samples import noise, residuals
-from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.knobs import FAR
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.storage import number
 
 LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer
 COUPLED = 0.1  # the same for a joint that only effects of other joints act on; doubled, fewer joints are marked
 BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges
-FAR = 3.0  # residual over noise above which a joint has a mismatch whatever was found; twice as much: fewer "cannot tell"
 NOTABLE = 1.25  # ratio of mean squares, without over with the effects, from which a recording is named; doubled: fewer
 MOST, NARROW = 0.5, 0.05  # least share of the error in a range, and least excess over its share of time; doubled: fewer ranges
 UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load_torque": "Nm", "time": "s", "payload": "kg", "spring_torque": "Nm"}

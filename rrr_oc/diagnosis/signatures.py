@@ -147,7 +147,7 @@ def _torques(trial: Trial, signals: Signals) -> dict[int, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Signatures:
     """Signatures of many trials at the rows of all recordings.
 
     Attributes:
@@ -171,13 +171,13 @@ class Table:
             own[:, used[at] - first] = values[:, at]
         return result
 
-    def recorded(self, gains: np.ndarray) -> "Table":
+    def recorded(self, gains: np.ndarray) -> "Signatures":
         """The table as sensors record it, which change torques by these factors, (n, M)."""
         of_sensors = np.repeat([t.effect.side == "sensor" for t in self.trials], np.diff(self.start))
         factors = [np.where(of_sensors[u], 1.0, g[:, None]) for u, g in zip(self.used, gains, strict=True)]
         return replace(self, values=tuple(v * f for v, f in zip(self.values, factors, strict=True)))
 
-    def renewed(self, which: Sequence[int], other: "Table") -> "Table":
+    def renewed(self, which: Sequence[int], other: "Signatures") -> "Signatures":
         """The table with the signatures of some trials, by their numbers, from another that has these alone."""
         columns = np.concatenate([np.arange(self.start[k], self.start[k + 1]) for k in which] or [np.zeros(0, int)])
         values, used = [], []
@@ -192,7 +192,7 @@ class Table:
 
 def table(
     prepared: Sequence[Prepared], model: CalibratedModel, every: Iterable[Trial], kept: Sequence[np.ndarray] | None = None
-) -> Table:
+) -> Signatures:
     """The signatures of trials at a model without its sensors but for their delays, filtered, at the rows of `regression.rows`.
 
     Args:
@@ -214,7 +214,7 @@ def table(
         for j, torques in along.by_trial(trial).items():
             filtered[j].add(torques)
             numbers[j] += range(first, first + len(torques))
-    return Table(every, start, tuple(f.whole for f in filtered), tuple(np.array(n, int) for n in numbers))
+    return Signatures(every, start, tuple(f.whole for f in filtered), tuple(np.array(n, int) for n in numbers))
 
 
 class Filtered:
@@ -257,21 +257,21 @@ class Tables:
 
     def __init__(self, prepared: Sequence[Prepared], kept: Sequence[np.ndarray], trials: Sequence[Trial], seen: View) -> None:
         self.prepared, self.kept, self.trials, self.seen = prepared, kept, tuple(trials), seen
-        self._known: dict[int | None, list[tuple[np.ndarray, Table]]] = {}
+        self._known: dict[int | None, list[tuple[np.ndarray, Signatures]]] = {}
 
-    def at(self, model: CalibratedModel, joint: int | None) -> Table:
+    def at(self, model: CalibratedModel, joint: int | None) -> Signatures:
         """The table of the catalogue (None) or of a joint's black-box terms."""
         return self._recorded(self._at(without_sensors(model), joint), model)
 
-    def of(self, model: CalibratedModel, some: Sequence[Trial]) -> Table:
+    def of(self, model: CalibratedModel, some: Sequence[Trial]) -> Signatures:
         """A table of some trials, which is not kept."""
         return self._recorded(table(self.prepared, model, some, self.kept), model)
 
-    def _recorded(self, found: Table, model: CalibratedModel) -> Table:
+    def _recorded(self, found: Signatures, model: CalibratedModel) -> Signatures:
         gains = self._gains(model)
         return found if np.all(gains == 1.0) else found.recorded(gains)
 
-    def _at(self, model: CalibratedModel, joint: int | None) -> Table:
+    def _at(self, model: CalibratedModel, joint: int | None) -> Signatures:
         now, known = self._state(model), self._known.setdefault(joint, [])
         for before, there in known:
             if _alike(before, now):
@@ -280,7 +280,7 @@ class Tables:
         self._known[joint] = [*(known[:1] if joint is None else []), (now, new)]
         return new
 
-    def _made(self, model: CalibratedModel, joint: int | None, before: Table | None) -> Table:
+    def _made(self, model: CalibratedModel, joint: int | None, before: Signatures | None) -> Signatures:
         if joint is not None:
             return table(self.prepared, model, black_box_trials(self.prepared, self.seen, model, joint), self.kept)
         if before is None:

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -11,7 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.knobs import DECISIVE
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding
+from rrr_oc.diagnosis.result import LINK_ERRORS, Finding, Suggestion
 from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError
@@ -31,15 +30,6 @@ FASTER = 1.3  # largest speed of a suggested motion over the speed recorded; twi
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # amplitudes that are tried until torque limits and floor are kept
 OPTIMISED = 4  # joints up to which a motion is optimised, which takes a second; of more joints the best random one is suggested
 ITERATIONS = 10  # of IPOPT; twice as many take a second more for a little more information
-
-
-@dataclass(frozen=True)
-class Suggestion:
-    """A motion to record, why (in words), and the names of the effects that it separates."""
-
-    why: str
-    separates: tuple[str, ...]
-    motion: Recording
 
 
 def suggest(

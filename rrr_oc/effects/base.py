@@ -156,9 +156,9 @@ class View:
         return float(np.min(units[name][list(joints)]) if joints else np.max(units[name]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
-    """One way in which an effect might be present, with a prediction linear in its coefficients c.
+    """One way in which an effect might be present, with a prediction linear in its coefficients c. Each is equal to itself alone.
 
     The change of the prediction is Σ c_k · change(points[k]) / size.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from rrr_oc.effects import Effect, FollowsLoad, LoopChange, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
 from rrr_oc.model.motion import Motion
+from rrr_oc.model.parameters import for_each, offsets
 from rrr_oc.model.shared_model import KEPT, shared_model
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
@@ -81,7 +82,7 @@ class Physics:
         own = [not isinstance(effect, OnlyRecorded) for effect in self.model.effects]
         if all(own):
             return self
-        kept = np.repeat(own, [len(effect.parameters) for effect in self.model.effects])
+        kept = for_each(own, self.model.effects)
         effects = tuple(effect for effect, stays in zip(self.model.effects, own, strict=True) if stays)
         model = shared_model(self.model.robot, self.model.tool, effects)
         return Physics(model, self.theta[kept], self.widths, self.inertial, self.delays)
@@ -178,13 +179,13 @@ class Physics:
 
         Keys: "shift", "states" or "theta" and the number therein; of the parameters only those of effects with internal states.
         """
-        n, effects, wanted, state, first = len(motion.q), self.model.effects, [], 0, 0
-        for effect in effects:
+        n, effects, wanted, state = len(motion.q), self.model.effects, [], 0
+        for effect, first in zip(effects, offsets(effects), strict=False):
             of_joint = [j + d * n for j in effect.joints for d in range(3 if effect.moves_link else 1)]
             wanted += [("shift", row) for row in of_joint if effect.side == "motion"]
             wanted += [("states", state + k) for k in range(len(effect.states))]
             wanted += [("theta", first + k) for k in range(len(effect.parameters)) if effect.states]
-            state, first = state + len(effect.states), first + len(effect.parameters)
+            state += len(effect.states)
         keys = tuple(dict.fromkeys(wanted))
         function = _with_partials(self.model.recorded_inverse, int(load), keys)
         (found,) = self._evaluated(function, motion, self.shift(motion), self.states(motion))
@@ -203,7 +204,7 @@ class Physics:
             load: Whether that is the load torque, not the motor torque.
         """
         named, result = self.named(), []
-        first = np.cumsum([0, *(len(effect.parameters) for effect, *_ in named)])
+        first = offsets(self.model.effects)
         for i in numbers:
             effect, theta, _ = named[i]
             columns = np.empty((*true.shape, len(effect.parameters)))

@@ -10,6 +10,7 @@ import numpy as np
 
 from rrr_oc.effects import Body, BodyChange, Effect, OnlyRecorded, Signals
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import offsets
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot.robot import Robot, ToolPoint
@@ -250,11 +251,11 @@ class Model:
         return torque
 
     def _unpacked(self, theta, widths):
-        i = w = 0
-        for effect in self.effects:
-            named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
+        w = 0
+        for effect, first in zip(self.effects, offsets(self.effects), strict=False):
+            named = {p.name: theta[first + k] for k, p in enumerate(effect.parameters)}
             yield effect, named, widths[w] if effect.width is not None else None
-            i, w = i + len(effect.parameters), w + (effect.width is not None)
+            w += effect.width is not None
 
     def _symbols(self, *names: str) -> tuple[ca.SX, ...]:
         vectors = [ca.SX.sym(name, self.robot.n) for name in names]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.model_file import save_model
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import intervals
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.errors import noted
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.diagnosis_figures import draw_errors, draw_prediction

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
-from rrr_oc.diagnosis.findings import LESS_PROBABLE, LINK_ERRORS
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
+from rrr_oc.diagnosis.result import LESS_PROBABLE, LINK_ERRORS
 from rrr_oc.effects import CATALOGUE, Delay, Effect
 from rrr_oc.effects.words import default_sentence, joint_words, listed, read, rounded, words
 from rrr_oc.model.metrics import WORTHLESS

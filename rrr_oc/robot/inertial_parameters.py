@@ -202,7 +202,7 @@ def to_log_cholesky(parameters: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Prior:
+class BodyPrior:
     """Normal prior of the links in log-Cholesky coordinates, link by link.
 
     Attributes:
@@ -214,7 +214,7 @@ class Prior:
     std: np.ndarray
 
 
-def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
+def precision(guess: BodyPrior, inertial: np.ndarray) -> np.ndarray:
     """Precision matrix of the prior in inertial parameters (10 n, 10 n), linearised about physical bodies (10, n)."""
     result = np.zeros((guess.std.size,) * 2)
     for i, parameters in enumerate(inertial.T):
@@ -224,7 +224,7 @@ def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
     return result
 
 
-def prior(robot: Robot) -> Prior:
+def prior(robot: Robot) -> BodyPrior:
     """Prior centred at the URDF's values where they are physical, else at 1 kg about the middle of the link."""
     centres, stds = [], []
     for i in range(robot.n):
@@ -234,7 +234,7 @@ def prior(robot: Robot) -> Prior:
         parameters = robot.inertial[:, i]
         centres.append(to_log_cholesky(parameters if is_physical(parameters) else _guess(reach, length)))
         stds.append([1.0, 1.0, 1.0, 1.0, *[length] * 6])
-    return Prior(np.concatenate(centres), np.concatenate(stds))
+    return BodyPrior(np.concatenate(centres), np.concatenate(stds))
 
 
 def _guess(reach: np.ndarray, length: float) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from rrr_oc.effects import Clutched, Effect, ExportTwin, LinkSpring, NativeTwin, OnlyRecorded, SpringChange
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import for_each
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.mjcf import built, refusal
@@ -100,7 +101,7 @@ def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Mod
 def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
     """The model without springs that act in one phase of a task only and without what is only recorded, and its parameters."""
     lasting = [not isinstance(effect, Clutched | OnlyRecorded) for effect in model.effects]
-    kept = np.repeat(np.array(lasting, bool), [len(effect.parameters) for effect in model.effects])
+    kept = for_each(lasting, model.effects)
     return replace(model, effects=tuple(itertools.compress(model.effects, lasting))), theta[kept]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from rrr_oc.effects import Body, Delay, ExportTwin, MotionShift, MovesLink
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import for_each
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre, is_possible, of_pseudo_inertia, pseudo_inertia
 from rrr_oc.robot.mjcf import built, compiled
@@ -137,11 +138,11 @@ def _same_arm(path: Path, robot: Robot) -> Robot:
 def _that_fit(model: Model, theta: np.ndarray, left_out: list[str]) -> tuple[Model, np.ndarray, list[str]]:
     """The model without what would change more than numbers and springs, its parameters, and what is left out."""
     why = [next((said for kind, said in ELSEWHERE.items() if isinstance(e, kind)), None) for e in model.effects]
-    kept = np.repeat([said is None for said in why], [len(e.parameters) for e in model.effects])
+    kept = for_each([said is None for said in why], model.effects)
     named = zip(model.effects, why, strict=True)
     told = [f"{model.label(e)}: {said}" for e, said in named if said is not None and e.role != "plain"]
     effects = tuple(e for e, said in zip(model.effects, why, strict=True) if said is None)
-    return replace(model, effects=effects), theta[kept.astype(bool)], [*left_out, *told]
+    return replace(model, effects=effects), theta[kept], [*left_out, *told]
 
 
 def _parsed(text: str) -> tuple[Element, str]:

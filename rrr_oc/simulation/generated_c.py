@@ -29,6 +29,7 @@ import numpy as np
 from rrr_oc.compiler import digest, library
 from rrr_oc.effects import MotionShift, Signals, WithStates
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import offsets
 from rrr_oc.model.symbolic_model import Model
 
 PAYLOAD = "rrr_oc:payload"
@@ -240,10 +241,9 @@ def _root(residual: ca.SX, x: ca.SX) -> ca.SX:
 
 def shift(model: Model, theta) -> ca.SX:
     """Position of the links less that of their encoders, without elastic gears, (n,) [rad]."""
-    result, i = ca.SX.zeros(model.robot.n), 0
-    for effect in model.effects:
-        named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
-        i += len(effect.parameters)
+    result = ca.SX.zeros(model.robot.n)
+    for effect, first in zip(model.effects, offsets(model.effects), strict=False):
+        named = {p.name: theta[first + k] for k, p in enumerate(effect.parameters)}
         if isinstance(effect, MotionShift):
             for j, value in zip(effect.joints, effect.shift(Signals(ca.SX.zeros(model.robot.n)), named, None), strict=True):
                 result[j] += value

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from test_data import INNOVATION, PLACE, dense, exact_noise, places
 
 from rrr_oc.calibration.estimator.data import Noise
-from rrr_oc.calibration.estimator.evidence import Gram, Hyperparameters, Joint, Prior, Spectrum, estimated, solve
+from rrr_oc.calibration.estimator.evidence import Gram, Hyperparameters, Joint, ParameterPrior, Spectrum, estimated, solve
 
 
 class Problem:
@@ -35,11 +35,11 @@ class Problem:
         self.joints = tuple(Joint.of(self.data, j, noise) for j, noise in enumerate(noises))
         self.hyper = Hyperparameters(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), np.array([1.3, 2.5]))
 
-    def solved(self, prior: Prior, columns: np.ndarray, hyper: Hyperparameters | None = None):
+    def solved(self, prior: ParameterPrior, columns: np.ndarray, hyper: Hyperparameters | None = None):
         start = SimpleNamespace(hyper=hyper or self.hyper, joints=self.joints)
         return solve(self.data, self.residual, columns, prior, start, fixed=True)
 
-    def covariance(self, prior: Prior, columns: np.ndarray) -> np.ndarray:
+    def covariance(self, prior: ParameterPrior, columns: np.ndarray) -> np.ndarray:
         """Of the rows that count, joint by joint, without the parameters' uncertainty if they have none."""
         counted, parts = self.data.counted[0], []
         alone = (dense(PLACE) / INNOVATION**2, np.eye(np.count_nonzero(counted)))
@@ -50,7 +50,7 @@ class Problem:
         precision = prior.precision / np.append(1.0, self.hyper.links)[prior.links] ** 2
         return block_diag(*parts) + a @ np.diag(1 / precision) @ a.T
 
-    def log_density(self, prior: Prior, columns: np.ndarray) -> float:
+    def log_density(self, prior: ParameterPrior, columns: np.ndarray) -> float:
         """Of the residual, parameters and discrepancy integrated out."""
         counted = self.data.counted[0]
         mean = (columns[:, counted] @ prior.mean).ravel()
@@ -65,11 +65,11 @@ def with_rest_at(problem: Problem, j: int) -> Problem:
     return problem
 
 
-def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> Prior:
+def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> ParameterPrior:
     """Proper normal priors; of `links`, the first half are errors of one link, the others of another."""
     p, half = len(mean), len(links) // 2
     which, inf = np.isin(np.arange(p), links[:half]) + 2 * np.isin(np.arange(p), links[half:]), np.full(p, np.inf)
-    return Prior(np.asarray(mean), std**-2.0, np.ones(p, bool), which, -inf, inf, np.zeros(p))
+    return ParameterPrior(np.asarray(mean), std**-2.0, np.ones(p, bool), which, -inf, inf, np.zeros(p))
 
 
 @pytest.mark.parametrize("links", [(), (1, 2)])

@@ -15,7 +15,8 @@ from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.posterior.members import members, moved
 from rrr_oc.diagnosis import mismatch
 from rrr_oc.diagnosis.alternatives import Exchange, alternatives
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose, ready
+from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError

@@ -14,7 +14,7 @@ from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.structures import neighbours
 from rrr_oc.diagnosis.structures.candidates import Screen
 from rrr_oc.diagnosis.structures.linear import Level
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import Trial
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.friction.coulomb_asymmetry import CoulombAsymmetry
@@ -47,7 +47,7 @@ def laws(every: tuple[Trial, ...], *kinds: type) -> list[Trial]:
 
 def screened(fitter, at, trials, hyper=None, structure=None):
     """Neighbours of a fit among some trials, and the screen beside a structure (the fit's own by default)."""
-    near = Search.of(fitter, trials).neighbours(at)
+    near = StructureSearch.of(fitter, trials).neighbours(at)
     here = near.at(near.linear.own if structure is None else structure, hyper or at.posterior.hyper, fixed=True)
     return near, here, Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution)
 
@@ -159,7 +159,7 @@ def test_effects_of_different_joints_are_added_at_once(fitted, monkeypatch, alik
     """An offset on the first joint, and drag on the second that gains less: at once, if that counts as alike."""
     fitter, at, every = fitted
     monkeypatch.setattr(neighbours, "ALIKE", alike)
-    search = Search.of(fitter, laws(every, QuadraticDrag, TorqueOffset))
+    search = StructureSearch.of(fitter, laws(every, QuadraticDrag, TorqueOffset))
     first = search._better(search.scored(at))
     assert first is not None
     assert {t.effect.name for t in first.fitted.extra} == names
@@ -168,7 +168,7 @@ def test_effects_of_different_joints_are_added_at_once(fitted, monkeypatch, alik
 def test_a_fit_begins_with_links_that_can_be(fitted, monkeypatch):
     """Bodies are exponential in errors of the links: a prediction may move these so far that no number holds the result."""
     fitter, at, every = fitted
-    search = Search.of(fitter, laws(every, QuadraticDrag))
+    search = StructureSearch.of(fitter, laws(every, QuadraticDrag))
     _, here, _ = screened(fitter, at, laws(every, QuadraticDrag))
     plain, far = sum(len(t.estimates) for t in at.model.terms), here.solution.step.copy()
     far[plain : plain + len(at.links)] = 1e4
@@ -187,7 +187,7 @@ def test_a_gas_spring_is_found_where_errors_of_the_links_explain_much_of_it():
     near = [t for t in every if t.effect.name in ("cable_harness", "parallel_spring", "link_inertial", "torque_offset")]
     first = fitter.begin(plain)
     fitter, first = fitter.holding(fitter.delay_of(first), first)
-    search = Search.of(fitter, [t for t in near if t.effect.joints == (1,)])
+    search = StructureSearch.of(fitter, [t for t in near if t.effect.joints == (1,)])
     begin = search.scored(first)
     found = search._better(begin)
     assert np.any(begin.fitted.posterior.hyper.links > 3)

@@ -17,8 +17,8 @@ from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.commands import app
-from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
-from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.diagnosis.signatures import table, view
 from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects import Trial
@@ -98,7 +98,7 @@ def test_a_motion_is_suggested_that_tells_a_series_from_its_rival(made):
     effect = Empirical((1,), (("q", 1),), (-1.0,), (1.0,), edges=((1, 0.9, 3), (-1, 0.1, 3)))
 
     def apart(size: float) -> str:
-        found = Finding(Term(effect, (Estimate(size), Estimate(-size)), 0.05), 1.0, 0.6, 50.0, 1e-9, (("torque_offset", (1,)),))
+        found = Finding(Term(effect, (Estimate(size), Estimate(-size)), 0.05), 1.0, 50.0, 1e-9, (("torque_offset", (1,)),))
         (suggestion,) = suggest(recordings, replace(plain, noise=np.full(2, 0.01)), [found], False, view(prepared, plain))
         assert suggestion.separates == ("empirical", "torque_offset")
         return suggestion.why

@@ -8,11 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
+from scipy.special import logit
 
+from rrr_oc.diagnosis.claims import reliability
 from rrr_oc.diagnosis.claims.dependence import Shape, reached
-from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, features, probability, regression
-from rrr_oc.diagnosis.files import diagnosis_file
-from rrr_oc.diagnosis.files.diagnosis_file import Unexplained, to_json
+from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, Regression, features, judged, probability_of, regression
+from rrr_oc.diagnosis.diagnosis_file import Unexplained, to_json
 from rrr_oc.diagnosis.procedure import diagnose
 
 
@@ -72,17 +73,24 @@ def test_a_law_that_is_rather_wrong_than_right_is_told_as_what_its_torque_is_mos
     dragged, monkeypatch, law, dependence, verdict
 ):
     """Probabilities are made up, of a claim that names a law and of one that tells joint and variables."""
-    monkeypatch.setattr(diagnosis_file, "probability", lambda entry, parts: law if "effect" in entry else dependence)
-    found = to_json(dragged)
+    of_law, of_dependence = ((logit(p), *(len(NAMES) - 1) * [0.0]) for p in (law, dependence))
+    made_up = Regression(of_law, of_dependence, (1, 1), "")
+    monkeypatch.setattr(reliability, "regression", lambda: made_up)
+    found = to_json(replace(dragged, findings=tuple(judged(dragged.findings, dragged.anatomy))))
     assert found["verdict"] == verdict
-    named = [(e["effect"], e["probability"]) for e in found["effects"]]
+    named = [(e["effect"], pytest.approx(e["probability"])) for e in found["effects"]]
     if law > 0.5:
         assert (named, found["unexplained"]) == ([("quadratic_drag", law)], [])
         return
     assert named == []
     (u,) = found["unexplained"]
     told = msgspec.convert(u, Unexplained)  # all that the file declares
-    assert (told.joint, told.depends_on, told.probability, told.recordings) == ("j1", ("dq_j1",), dependence, "all")
+    assert (told.joint, told.depends_on, pytest.approx(told.probability), told.recordings) == (
+        "j1",
+        ("dq_j1",),
+        dependence,
+        "all",
+    )
     assert told.parameters == {}
     assert told.most_like is not None
     assert (told.most_like.effect, told.most_like.joint) == ("quadratic_drag", "j1")
@@ -137,16 +145,14 @@ def test_reach_is_what_is_explained_of_what_the_best_explains():
     assert [s.reach for s in reached(Place(), [shape(0.0)])] == [0.0]  # pyright: ignore[reportArgumentType]
 
 
-def entry(**more):
-    size = {"joint": "a", "share": 0.5, "interval": [0.4, 0.6], "innovations": None, "of_torque": 0.05}
-    return {"effect": "stribeck", "log_odds": 50.0, "lowers_error": size, "rivals": [], "reaches": 1.0} | more
+def quantities(log_odds=50.0):
+    return features(log_odds, [0.4], 0.05, {"noise": 0.01, "not explained": 0.0}, 1.0)
 
 
 def test_a_probability_is_that_of_the_regression_and_never_certain():
-    parts = {"noise": 0.01, "not explained": 0.0}
-    sure = probability(entry(), parts)
-    assert len(features(entry(), parts)) == len(NAMES) == len(regression().law) == len(regression().dependence)
+    law = regression().law
+    sure = probability_of(quantities(), law)
+    assert len(quantities()) == len(NAMES) == len(law) == len(regression().dependence)
     assert LEAST <= sure <= MOST
-    z = features(entry(), parts) @ np.array(regression().law)
-    assert sure == pytest.approx(1 / (1 + np.exp(-z)))
-    assert probability(entry(log_odds=1e9), parts) <= MOST
+    assert sure == pytest.approx(1 / (1 + np.exp(-quantities() @ np.array(law))))
+    assert probability_of(quantities(log_odds=1e9), law) <= MOST

@@ -9,12 +9,12 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.estimator import left_out
-from rrr_oc.calibration.estimator.evidence import Start
+from rrr_oc.calibration.estimator.evidence import NoiseStart
 from rrr_oc.calibration.estimator.left_out import Fall, block_edges
 from rrr_oc.diagnosis.claims.effect_size import Falls, LeftOut, confirmed, predictive, scales_load
-from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import ready
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.result import Finding
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.priors import Priors
@@ -48,8 +48,8 @@ def with_terms(arm, *terms: Term):
     """The neighbours of a fit with further terms, and these as findings."""
     fitter, begin, every = arm
     fitted = fitter.fit(replace(begin.model, terms=(*begin.model.terms, *terms)), begin.links, begin.posterior)
-    near = Search.of(fitter, every).neighbours(fitted)
-    return near, [Finding(t, 1.0, 1.0, 10.0, 0.0) for t in fitted.extra]
+    near = StructureSearch.of(fitter, every).neighbours(fitted)
+    return near, [Finding(t, 1.0, 10.0, 0.0) for t in fitted.extra]
 
 
 def drag() -> Term:
@@ -109,7 +109,7 @@ def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch)
         rest, out = fitter.data.part([k for k in range(RECORDINGS) if k != held]), fitter.data.part([held])
         for k, terms in enumerate(((), (drag(),))):
             model = replace(begin.model, terms=(*begin.model.terms, *terms))
-            fitted = replace(fitter, data=rest).fit(model, begin.links, Start.of(rest, hyper), fixed=True)
+            fitted = replace(fitter, data=rest).fit(model, begin.links, NoiseStart.of(rest, hyper), fixed=True)
             squares[k] += np.sum(out.rows(fitted.model).residual[1] ** 2)
     assert fall.share == pytest.approx(1 - np.sqrt(squares[1] / squares[0]), rel=0.06)  # ways of changing sign are not mixed
 
@@ -160,7 +160,7 @@ def test_sizes_are_those_of_fits_without_each(arm):
     """Refitted without it, a model has the error of the plain fit; what does nothing goes."""
     fitter, begin, every = arm
     near, findings = with_terms(arm, offset(0), drag())
-    search = Search.of(fitter, every)
+    search = StructureSearch.of(fitter, every)
     fitted, kept, out = confirmed(search, begin, near.linear.fitted, predictive(LeftOut(near), findings)[0] + findings[:1])
     assert [f.term.effect.name for f in kept] == [t.effect.name for t in fitted.extra] == ["quadratic_drag"]
     assert [f.term.effect.name for f in out] == ["torque_offset"]

@@ -8,10 +8,11 @@ import pytest
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.diagnosis import findings
-from rrr_oc.diagnosis.files.diagnosis_file import _prior
+from rrr_oc.diagnosis.diagnosis_file import _prior
 from rrr_oc.diagnosis.findings import _rivals, contribution, found, identities, identity, probabilities
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.result import Finding
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects.base import Prior
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.elastic.cable_harness import CableHarness
@@ -35,8 +36,8 @@ class Model:
     terms: tuple[Term, ...]
 
 
-def searched(visited: dict, predicted: dict | None = None) -> Search:
-    return Search(None, None, None, visited=visited, predicted=predicted or {})  # pyright: ignore[reportArgumentType]
+def searched(visited: dict, predicted: dict | None = None) -> StructureSearch:
+    return StructureSearch(None, None, None, visited=visited, predicted=predicted or {})  # pyright: ignore[reportArgumentType]
 
 
 def test_probabilities_are_shares_of_all_structures():
@@ -72,7 +73,7 @@ def test_two_black_box_terms_of_a_joint_have_probabilities_of_their_own(monkeypa
     search = searched({frozenset(some): score for some, score in zip(names, (0.0, 1.0), strict=True)})
     search.fitter = SimpleNamespace(data=None, view=SimpleNamespace(springs=()), priors=PRIORS)  # pyright: ignore[reportAttributeAccessIssue]
     monkeypatch.setattr(findings, "wald", lambda *_: 0.5)
-    monkeypatch.setattr(Search, "worths", lambda *_: [9.0, 1.0])
+    monkeypatch.setattr(StructureSearch, "worths", lambda *_: [9.0, 1.0])
     monkeypatch.setattr(findings, "contribution", lambda *_: 1.0)
     extra = tuple(placed(e) for e in (wider, second))
     claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=extra)))
@@ -87,7 +88,7 @@ def test_an_effect_too_small_to_matter_is_possible_but_not_claimed(monkeypatch, 
     search = searched({frozenset({OFFSET}): 0.0})
     search.fitter = SimpleNamespace(data=None, view=SimpleNamespace(springs=()), priors=PRIORS)  # pyright: ignore[reportAttributeAccessIssue]
     monkeypatch.setattr(findings, "wald", lambda *_: 1e-9)
-    monkeypatch.setattr(Search, "worths", lambda *_: [50.0])
+    monkeypatch.setattr(StructureSearch, "worths", lambda *_: [50.0])
     monkeypatch.setattr(findings, "contribution", lambda *_: size)
     claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=(placed(OFFSET[0]),))))
     assert (len(claimed), len(possible)) == (claims, 1 - claims)
@@ -97,7 +98,7 @@ def test_an_effect_too_small_to_matter_is_possible_but_not_claimed(monkeypatch, 
 def test_no_probability_exceeds_1_by_rounding(monkeypatch):
     """Of an effect, and of one that is possible beside it, that are in every structure: sums of the shares of all."""
     monkeypatch.setattr(findings, "wald", lambda *_: 1e-9)
-    monkeypatch.setattr(Search, "worths", lambda *_: [50.0])
+    monkeypatch.setattr(StructureSearch, "worths", lambda *_: [50.0])
     monkeypatch.setattr(findings, "contribution", lambda *_: 1.0)
     fitted, rng, sums = SimpleNamespace(extra=(placed(OFFSET[0]),)), np.random.default_rng(0), []
     for _ in range(20):
@@ -107,7 +108,7 @@ def test_no_probability_exceeds_1_by_rounding(monkeypatch):
         (claimed,), possible = found(search, SimpleNamespace(fitted=fitted))
         sums.append(sum(p for _, p in probabilities(search)))
         assert possible[0].key == ("cable_harness", (0,))
-        assert max(claimed.probability, claimed.alone, possible[0].probability) <= 1.0
+        assert max(claimed.probability, possible[0].probability) <= 1.0
     assert max(sums) > 1.0  # so that there is something to round
 
 
@@ -118,7 +119,7 @@ def test_a_claim_rests_on_its_prior_by_the_rule_of_bayes(beforehand):
     prior = replace(PRIORS.of(TorqueOffset), probability=beforehand)
     for factor, rests in ((0.99 * 190 / odds, True), (1.01 * 190 / odds, False)):
         now, less = (x / (1 + x) for x in (odds * factor, odds / 10 * factor))
-        finding = findings.Finding(placed(OFFSET[0]), now, now, 9.0, 1e-9, (), prior)
+        finding = Finding(placed(OFFSET[0]), now, 9.0, 1e-9, (), prior)
         assert finding.rests_on_prior == rests == (less < CLAIM)
         assert _prior(finding, ["a"]) == {
             "effect": "torque_offset",

@@ -14,8 +14,9 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.held_out import Fold, _means, acts_on, in_closed_loop, intervals, joints_made_worse, ranges
-from rrr_oc.diagnosis.procedure import Diagnosis, ready
+from rrr_oc.diagnosis.held_out import _means, acts_on, in_closed_loop, intervals, joints_made_worse, ranges
+from rrr_oc.diagnosis.procedure import ready
+from rrr_oc.diagnosis.result import Diagnosis, Fold
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.priors import Priors

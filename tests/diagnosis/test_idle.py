@@ -7,7 +7,7 @@ import pytest
 from recorded import as_set, multisine, record
 
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError
 

@@ -9,7 +9,7 @@ from recorded import as_set, multisine, record
 from scipy.signal import lsim
 
 from rrr_oc.calibration.calibrate import calibrate
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple

@@ -12,8 +12,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects.priors import Priors
@@ -110,7 +110,7 @@ def test_a_suggested_motion_keeps_to_what_the_arm_can_do(planar, undecided):
     arm = Model(weak, recordings.tool)
     largest = np.max([np.abs(r.tau).max(axis=1) for r in made], axis=0)
     lowest = min(float(arm.tool_height(q)) for r in made for q in r.q.T)
-    found = Finding(Term(TorqueOffset((1,)), (Estimate(0.5),)), 1.0, 0.6, 50.0, 1e-9, (("coulomb_asymmetry", (1,)),))
+    found = Finding(Term(TorqueOffset((1,)), (Estimate(0.5),)), 1.0, 50.0, 1e-9, (("coulomb_asymmetry", (1,)),))
     (suggestion,) = suggest(recordings, plain, [] if undecided else [found], undecided, seen)
     m = suggestion.motion
     assert np.all((seen.low <= m.q.T) & (seen.high >= m.q.T))

@@ -11,8 +11,9 @@ from chains import joint, link, robot
 from recorded import Plant, as_set, multisine, record
 
 from rrr_oc.calibration.model_file import load_model, save_model
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.report.diagnosis_words import plain
 

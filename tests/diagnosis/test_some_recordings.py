@@ -9,7 +9,7 @@ from recorded import Plant, as_set, by_trial, record
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import folds_of
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.diagnosis.signatures import trials, view

@@ -12,19 +12,20 @@ from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
 from rrr_oc.calibration.calibrated_model import Estimate
+from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.link_findings import Off, OffLink
-from rrr_oc.calibration.model_file import load_model
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.commands import app
 from rrr_oc.commands import diagnose as command
 from rrr_oc.commands.output import Output
 from rrr_oc.diagnosis import alternatives, held_out, procedure
 from rrr_oc.diagnosis.claims import classes
-from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile, to_json
-from rrr_oc.diagnosis.files.stages import SHARES, FindingData, ModelData, SearchData, Stages
-from rrr_oc.diagnosis.findings import Fall, Like, Possible
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.held_out import intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.result import Diagnosis, Like, Possible
+from rrr_oc.diagnosis.stages import SHARES, Stages
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.errors import UserError
 from rrr_oc.kept import Keeping
 from rrr_oc.progress import Step
@@ -82,7 +83,7 @@ def test_a_diagnosis_goes_on_from_any_stage_to_the_same_numbers(recordings, whol
     for name in ORDER[:stages]:
         shutil.copy(folder / f".{name}.json", tmp_path)
     if stages > 1:  # then nothing is searched again on all recordings
-        monkeypatch.setattr(SearchData, "of", lambda *_: pytest.fail("it searched again"))
+        monkeypatch.setattr(StructureSearch, "run", lambda *_: pytest.fail("it searched again"))
     again = Run(recordings, tmp_path)
     assert numbers(again.found) == numbers(whole[0].found)
     taken = [line for line in again.said if "taken from" in line]
@@ -101,11 +102,10 @@ def test_other_recordings_are_begun_anew(recordings, whole, tmp_path):
 
 
 def test_what_a_search_remembers_is_read_back(recordings):
-    stages = Stages(procedure.plain_model(recordings))
-    _, fitter, every, plain = procedure.ready(recordings, procedure.Priors(), stages)
-    search = Search.of(fitter, every)
+    _, fitter, every, plain = procedure.ready(recordings, procedure.Priors())
+    search = StructureSearch.of(fitter, every)
     at = search.run(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
-    again = stages.keep("search", SearchData.of(search)).search(Search.of(fitter, every), stages.start)
+    again = StructureSearch.of(fitter, every).restored(search.memory)
     assert (again.visited, again.predicted) == (search.visited, search.predicted)
     assert [len(one.fitted.extra) for one in again.path] == [len(one.fitted.extra) for one in search.path]
     there = again.path[-1]
@@ -207,7 +207,7 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
     found, gone = whole[0].found, np.nan
     (f,) = found.findings
     estimate = replace(f.term.estimates[0], std=np.inf, interval=(gone, gone))
-    term, start = replace(f.term, estimates=(estimate,)), procedure.plain_model(recordings)
+    term = replace(f.term, estimates=(estimate,))
     model = replace(
         found.model, terms=(*found.model.terms[:-1], term), report={"correlation": [gone]}, unexplained=np.array([gone])
     )
@@ -227,14 +227,10 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
         above_noise=(np.inf,),
         calibration=(np.array([gone]), np.array([gone])),
     )
-    kept = Stages(start).keep("one", FindingData.of(f, start.robot)).finding(start.robot)
-    numbers_of = kept.worth, kept.probability, kept.p_value, kept.fall.low, kept.innovations.high, kept.like.reach
-    assert np.isnan(numbers_of).all()
-    assert kept.reach is None
-    assert kept.like.term == kept.term
-    assert kept.term.estimates[0] == replace(estimate, std=None, interval=None)
-    assert Stages(start).keep("one", ModelData.of(model)).model(start).spread is not None
-    assert Stages(start).keep("one", ModelData.of(replace(model, spread=spread * gone))).model(start).spread is None
+    stages = Stages(recordings, found.plain, Keeping(tmp_path, {"code": "1"}, SimpleNamespace(note=print)))
+    stages.keep("one", strange)
+    assert repr(stages.saved("one")) == repr(strange)
+    assert stages.saved("one").recordings is recordings
     content = diagnosis_report.write_diagnosis(strange, tmp_path)
     assert content["failed"] == {}
     assert (content["left_over"], content["effects"][0]["log_odds"]) == ({"j1": None}, None)
@@ -245,8 +241,21 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
     command._show_diagnosis(with_nan(content, DiagnosisFile), Output())
 
 
-def test_an_estimate_that_is_no_number_is_one_sentence(whole):
+def test_a_stage_from_others_runs_nothing(recordings, whole, tmp_path):
+    """A pickle may name any function; but for what a diagnosis is made of, none is known."""
+
+    class Runs:
+        def __reduce__(self):
+            return print, ("it ran",)
+
+    stages = Stages(recordings, whole[0].found.plain, Keeping(tmp_path, {"code": "1"}, SimpleNamespace(note=print)))
+    stages.keep("one", Runs())
+    with pytest.raises(UserError, match=r"builtins\.print, which no diagnosis has"):
+        stages.saved("one")
+
+
+def test_an_estimate_that_is_no_number_is_one_sentence(whole, tmp_path):
     found = whole[0].found
     term = replace(found.findings[0].term, estimates=(Estimate(np.nan),))
     with pytest.raises(UserError, match=r"quadratic_drag of j1: the fit ends with coefficient = nan .*; are torques"):
-        ModelData.of(replace(found.model, terms=(term,)))
+        save_model(replace(found.model, terms=(term,)), tmp_path / "model.json")

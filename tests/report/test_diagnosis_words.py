@@ -581,7 +581,7 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     found = {
         "verdict": "missing_physics",
         "held_out": "recordings",
-        "effects": [RIVAL],
+        "effects": [RIVAL | {"lowers_error": RIVAL["lowers_error"] | {"joint": "wrist_2_joint"}}],
         "unexplained": [TORQUE | {"joint": "wrist_2_joint", "most_like": LIKE}],
         "small": [stribeck() | {"probability": None}],
         "events": [{"joint": "wrist_2_joint", "recording": "1.csv", "from": 1 / 3, "to": 2 / 3, "peak": 1 / 3}],

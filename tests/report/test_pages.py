@@ -27,8 +27,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.codesign.certificate import MeshQuality
-from rrr_oc.diagnosis.held_out import Fold
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.diagnosis.result import Diagnosis, Fold
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.report.design_report import optima_table, report, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
@@ -36,7 +35,7 @@ from rrr_oc.report.diagnosis_report import about, write_diagnosis
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
 from rrr_oc.report.pages.diagnosis_model import model_numbers
-from rrr_oc.report.pages.diagnosis_page import write_diagnosis_page
+from rrr_oc.report.pages.diagnosis_page import _first_shown, write_diagnosis_page
 from rrr_oc.report.pages.page import thinned
 from rrr_oc.robot.robot import load_robot
 
@@ -214,6 +213,19 @@ def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     np.testing.assert_array_equal(np.isin(q, recorded.q[1]), True)
     np.testing.assert_array_equal(np.isin(dq, recorded.dq[1]), True)
     assert found["worst"] == 1
+
+
+def test_a_page_shows_first_what_the_first_claim_changes(diagnosis):
+    """Joint 2 of recording 1 by what the claim says; without a claim what the plain model predicts worst."""
+    joints, missed = list(diagnosis.model.joints), np.zeros((2, len(diagnosis.model.joints), 2))
+    missed[:, :, 0] = 5.0
+    missed[:, 1] = [[3.0, 2.0], [3.0, 1.0]]
+    shown = {"missed": missed, "worst": np.array(0)}
+    claimed = {"effect": "quadratic_drag", "lowers_error": {"joint": joints[1]}}
+    errors = {joint: {"before": {"value": x}} for joint, x in zip(joints, (0.1, 0.2, 0.3), strict=True)}
+    found = {"effects": [claimed], "unexplained": [], "bootstrap": errors}
+    assert _first_shown(found, shown, joints) == ("1", "1")
+    assert _first_shown(found | {"effects": []}, shown, joints) == ("0", "2")
 
 
 def test_the_numbers_of_the_page_make_the_torque_of_the_model(diagnosis, tmp_path):

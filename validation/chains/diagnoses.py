@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def diagnosed(folder: Path, file: Path) -> None:
     """Write what is said of a case, and the processor time."""
-    from rrr_oc.diagnosis.files.diagnosis_file import to_json
+    from rrr_oc.diagnosis.diagnosis_file import to_json
     from rrr_oc.diagnosis.procedure import diagnose
     from rrr_oc.parallel import one_thread
     from rrr_oc.recordings.reader import load_recordings

@@ -55,10 +55,18 @@ def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.nd
     for e in found["effects"]:
         if e["effect"] != "time_delay":
             right = any(sealed.right(x) for x in (e, *e["rivals"]))
-            yield "law", features(e, parts[e["lowers_error"]["joint"]]), right
+            yield "law", _quantities(e, parts), right
     for u in found["unexplained"]:
         right = any(sealed.depends(j, variables(u, sealed)) for j in sealed.at(u) if j in sealed.hidden)
-        yield "dependence", features(u, parts[u["lowers_error"]["joint"]]), right
+        yield "dependence", _quantities(u, parts), right
+
+
+def _quantities(entry: dict[str, Any], anatomy: dict[str, dict[str, float]]) -> np.ndarray:
+    """What a file says of a claim, as of `NAMES`, (7,)."""
+    size = entry["lowers_error"]
+    lows = [x["interval"][0] for x in (size, size["innovations"]) if x is not None and x["interval"] is not None]
+    of_law = entry.get("reaches"), len(entry.get("rivals", ()))
+    return features(entry["log_odds"], lows, size["of_torque"], anatomy[size["joint"]], *of_law)
 
 
 def regression(some: Claims) -> np.ndarray:

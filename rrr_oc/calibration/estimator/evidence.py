@@ -36,7 +36,7 @@ CONVERGED = 0.002  # nats that an update of the hyperparameters gains, below whi
 
 
 @dataclass(frozen=True)
-class Prior:
+class ParameterPrior:
     """Normal prior of the changes of p parameters.
 
     Attributes:
@@ -55,23 +55,23 @@ class Prior:
     upper: np.ndarray
     flat: np.ndarray
 
-    def some(self, which: np.ndarray) -> "Prior":
+    def some(self, which: np.ndarray) -> "ParameterPrior":
         """Of these parameters, by their numbers."""
-        return Prior(*(getattr(self, f.name)[which] for f in fields(self)))
+        return ParameterPrior(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def joined(base: Prior, scales: np.ndarray) -> Prior:
+def joined(base: ParameterPrior, scales: np.ndarray) -> ParameterPrior:
     """A prior with further parameters about 0, of standard deviations (m,)."""
     none, free = np.zeros(len(scales)), np.full(len(scales), np.inf)
     return extended(base, none, scales**-2.0, none, -free, free)
 
 
 def extended(
-    base: Prior, mean: np.ndarray, precision: np.ndarray, flat: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> Prior:
+    base: ParameterPrior, mean: np.ndarray, precision: np.ndarray, flat: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> ParameterPrior:
     """A prior with further proper parameters, (m,) each."""
-    one = Prior(mean, precision, np.ones(len(mean), bool), np.zeros(len(mean), int), lower, upper, flat)
-    return Prior(*(np.append(getattr(base, f.name), getattr(one, f.name)) for f in fields(base)))
+    one = ParameterPrior(mean, precision, np.ones(len(mean), bool), np.zeros(len(mean), int), lower, upper, flat)
+    return ParameterPrior(*(np.append(getattr(base, f.name), getattr(one, f.name)) for f in fields(base)))
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def _tail(error: np.ndarray) -> tuple[float, float, float, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Solution:
+class LinearSolution:
     """A linear problem solved at its best hyperparameters.
 
     Attributes:
@@ -238,10 +238,10 @@ class Solution:
     right: np.ndarray
     misfit: float
     hyper: Hyperparameters
-    base: Prior
+    base: ParameterPrior
 
     @property
-    def prior(self) -> Prior:
+    def prior(self) -> ParameterPrior:
         """The prior at the estimated hyperparameters."""
         return at_size(self.base, self.hyper.links)
 
@@ -265,7 +265,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Posterior(Solution):
+class Posterior(LinearSolution):
     """The posterior of the parameters of a model about its fit.
 
     Attributes:
@@ -292,19 +292,19 @@ class Posterior(Solution):
         return float(np.linalg.norm(residual - predicted) / max(np.linalg.norm(predicted), 1e-300))
 
     def cost(self, residual: np.ndarray) -> float:
-        """See `Start.cost`."""
-        return Start(self.hyper, self.joints).cost(residual)
+        """See `NoiseStart.cost`."""
+        return NoiseStart(self.hyper, self.joints).cost(residual)
 
 
 @dataclass(frozen=True)
-class Start:
+class NoiseStart:
     """Where the estimates of a fit's noise and hyperparameters begin if there is no posterior of a similar problem."""
 
     hyper: Hyperparameters
     joints: tuple[Joint, ...]
 
     @classmethod
-    def of(cls, data: Data, hyper: Hyperparameters) -> "Start":
+    def of(cls, data: Data, hyper: Hyperparameters) -> "NoiseStart":
         """With these hyperparameters."""
         return cls(hyper, tuple(Joint.of(data, j, noise) for j, noise in enumerate(hyper.noise)))
 
@@ -323,8 +323,8 @@ def solve(
     data: Data,
     residual: np.ndarray,
     columns: np.ndarray,
-    prior: Prior,
-    start: Posterior | Start | None = None,
+    prior: ParameterPrior,
+    start: Posterior | NoiseStart | None = None,
     fixed: bool = False,
 ) -> Posterior:
     """The posterior of a linear problem.
@@ -335,7 +335,7 @@ def solve(
         start: Whose hyperparameters are the first ones: the posterior of a similar problem, as a rule.
         fixed: Whether these stay as they are.
     """
-    start = start or Start.of(data, _first(data, residual))
+    start = start or NoiseStart.of(data, _first(data, residual))
     hyper, joints = start.hyper, start.joints
     grams = [Gram.of(one, residual[j], columns[j]) for j, one in enumerate(joints)]
     # joints whose noise may still change: not where the residual is the one from which it was estimated
@@ -407,14 +407,14 @@ class Gram:
         return cls(x.T @ x, x.T @ y, float(y @ y), one.along(x), one.along(y), live)
 
 
-def at_size(prior: Prior, links: np.ndarray) -> Prior:
+def at_size(prior: ParameterPrior, links: np.ndarray) -> ParameterPrior:
     """The prior with errors of the links (n,) times as large as declared."""
     return replace(prior, precision=prior.precision / np.append(1.0, links)[prior.links] ** 2)
 
 
 def estimated(
-    grams: Sequence[Gram], joints: Sequence[Spectrum], hyper: Hyperparameters, prior: Prior, fixed: bool = False
-) -> Solution:
+    grams: Sequence[Gram], joints: Sequence[Spectrum], hyper: Hyperparameters, prior: ParameterPrior, fixed: bool = False
+) -> LinearSolution:
     """The posterior of a linear problem, from the products of its columns.
 
     Hyperparameters are those of the largest evidence for this noise, by MacKay's fixed point from `hyper` on, or these if `fixed`.
@@ -442,7 +442,7 @@ def estimated(
             break
         size[2 * n :], updates = np.minimum(size[2 * n :], FARTHEST), 0
     found = Hyperparameters(hyper.noise, size[:n], size[n : 2 * n], size[2 * n :])
-    return Solution(log, step, matrix, likelihood, right, misfit, found, prior)
+    return LinearSolution(log, step, matrix, likelihood, right, misfit, found, prior)
 
 
 def _contiguous(x: np.ndarray) -> np.ndarray:

@@ -11,7 +11,15 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
-from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, root_of_covariance, solve
+from rrr_oc.calibration.estimator.evidence import (
+    LEAST,
+    Hyperparameters,
+    NoiseStart,
+    ParameterPrior,
+    Posterior,
+    root_of_covariance,
+    solve,
+)
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
 from rrr_oc.calibration.estimator.left_out import std_by_blocks
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
@@ -100,7 +108,7 @@ class PlainFitter:
         few = self.few()
         fitted = few.with_signs(few.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
         if few is not self:
-            start = Start.of(self.data, fitted.posterior.hyper)
+            start = NoiseStart.of(self.data, fitted.posterior.hyper)
             fitted = self.fit(fitted.model, fitted.links, start, steps=STEPS_ON)
         return fitted
 
@@ -131,7 +139,7 @@ class PlainFitter:
         self,
         model: CalibratedModel,
         links: np.ndarray,
-        start: Posterior | Start | None = None,
+        start: Posterior | NoiseStart | None = None,
         fixed: bool = False,
         steps: int = STEPS,
         wanted: float = -np.inf,
@@ -257,7 +265,7 @@ class PlainFitter:
         """The fit whose noise is white, as strong as that of a fit at frequency 0, without a discrepancy."""
         last = np.inf
         for _ in range(CLOSER):
-            start = Start.of(self.data, at_low_frequency(self.data, fitted))
+            start = NoiseStart.of(self.data, at_low_frequency(self.data, fitted))
             fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
             if abs(fitted.log_evidence - last) < ALIKE:
                 break
@@ -290,7 +298,7 @@ class PlainFitter:
         }
         return replace(there, terms=tuple(widened(t, new) for t in there.terms)), errors
 
-    def prior(self, model: CalibratedModel, links: np.ndarray) -> Prior:
+    def prior(self, model: CalibratedModel, links: np.ndarray) -> ParameterPrior:
         """The prior of changes of a model's parameters: of plain terms, effects, errors of the links and widths, in this order."""
         base, values, widths = len(self.data.start.terms), model.values, np.array(list(self.widths(model).values()))
         low, high = bounds(model.terms)
@@ -303,7 +311,7 @@ class PlainFitter:
         farthest, number = np.full(k, self.farthest), np.arange(end)
         delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
         std = np.where(delays & self.holds_delays, HELD, self.plain_std)
-        return Prior(
+        return ParameterPrior(
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
             precision=np.concatenate([std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),

@@ -96,7 +96,7 @@ def undetermined(fitted: Fitted) -> np.ndarray:
     Those of the plain terms of which hardly more is known than before; and those that are told from unknown links by their prior alone.
     """
     post, size = fitted.posterior, len(fitted.model.values)
-    variance, plain = np.diag(covariance(fitted, bent=False)), sum(len(t.estimates) for t in fitted.model.terms[: fitted.base])
+    variance, plain = np.diag(covariance(fitted, bent=False)), fitted.model.offsets[fitted.base]
     delays = [isinstance(t.effect, Delay) for t in fitted.model.terms for _ in t.estimates]
     before = np.where(delays, CLOCK_ERROR**-2, post.prior.precision[:size])  # of a delay before it was held
     left = (variance[:size] * before > OPEN) & (np.arange(size) < plain)

@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from rrr_oc.diagnosis.claims.effect_size import LeftOut
-from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.mismatch import filtered_noise
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.diagnosis.structures.linear import Links
 
 FRICTION, LINKS, NO_LAW, REST, NOISE = "friction and rotor", "links", "seen, no law", "not explained", "noise"
 WAYS: tuple[Links, ...] = ("declared", "as fitted")
 
 
-def anatomy(plain: LeftOut, found: LeftOut, findings: Sequence[Finding], noise: np.ndarray) -> list[dict[str, float]]:
+def anatomy(plain: LeftOut, found: LeftOut, findings: Sequence[Finding]) -> list[dict[str, float]]:
     """Of each joint the shares of the squared error of the robot's file on data left out by which parts lower it, one after the other,
     and what is left; they add up to 1. A part that raises an error has a negative share.
 
@@ -21,7 +22,6 @@ def anatomy(plain: LeftOut, found: LeftOut, findings: Sequence[Finding], noise: 
         plain, found: Errors about the fits without and with all that was found. What all of it lowers is shared out as the effects lower
             the error one after the other about the latter.
         findings: Those of the latter, in the order of its terms.
-        noise: What noise leaves of each joint's torque, root of the mean square over the rows, (n,) [Nm].
     """
     data, model = plain.near.linear.fitter.data, plain.near.linear.fitted.model
     bare = replace(model, robot=replace(model.robot, inertial=data.links.at(data.links.none)[0]), terms=())
@@ -33,6 +33,7 @@ def anatomy(plain: LeftOut, found: LeftOut, findings: Sequence[Finding], noise: 
     acts = np.array([a.columns.any(axis=(1, 2)) for a in every]).reshape(len(every), data.n)
     falls = np.maximum(-np.diff(chain, axis=0), 1e-9 * left[0]) * acts
     falls *= (left[-1] - last) / np.maximum(falls.sum(axis=0), 1e-300)
+    noise = filtered_noise(data, found.near.linear.fitted.model)
     noisy = np.minimum(data.counted.sum(axis=1) * noise**2, last)
     parts = {FRICTION: left[0] - left[1], LINKS: left[1] - last - falls.sum(axis=0)}  # links of the reported model
     for f, fall in zip(findings, falls, strict=True):

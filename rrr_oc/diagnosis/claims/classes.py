@@ -11,18 +11,18 @@ from dataclasses import replace
 import numpy as np
 from msgspec.structs import replace as told_with
 
-from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, NoiseStart
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.link_findings import OffLink, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.claims.effect_size import LeftOut
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
+from rrr_oc.diagnosis.result import LINK_ERRORS, Finding, Undecided, shown_as
 from rrr_oc.diagnosis.structures.linear import Addition
 from rrr_oc.diagnosis.structures.neighbours import kind
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.errors import noted
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
@@ -31,7 +31,7 @@ FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off 
 
 
 def separated(
-    search: Search, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding], failed: dict[str, str]
+    search: StructureSearch, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding], failed: dict[str, str]
 ) -> tuple[list[Finding], list[Undecided], list[Exchange]]:
     """Findings with all that cannot be told from them, what cannot be told from errors of the links, and fits that are as good.
 
@@ -43,7 +43,7 @@ def separated(
     left_out = LeftOut(near)
     effects = tuple(left_out.of(f.term) for f in [*findings, *small])
     with_all = left_out.squares(effects)
-    shown = {id(t): with_interval for t, with_interval in zip(fitted.model.terms, described(fitted).terms, strict=True)}
+    shown = dict(zip(fitted.model.terms, described(fitted).terms, strict=True))
     told, undecided, exchanges = [], [], []
     for i, f in enumerate(findings):
         less = (*effects[:i], *effects[i + 1 :])
@@ -66,14 +66,14 @@ def separated(
         elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
             told.append(replace(f, rivals=(*rivals, LINK_ERRORS)))
         else:
-            undecided.append(Undecided((shown[id(f.term)], *found), f.probability))
-        lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[id(f.term)] else (f.key,)
+            undecided.append(Undecided((shown[f.term], *found), f.probability))
+        lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[f.term] else (f.key,)
         exchanges += [Exchange(one, (shown_as(one.extra[-1]),), lacks) for one in fits]
     return told, undecided, exchanges
 
 
 def with_links(
-    undecided: Sequence[Undecided], search: Search, fitted: Fitted, failed: dict[str, str]
+    undecided: Sequence[Undecided], search: StructureSearch, fitted: Fitted, failed: dict[str, str]
 ) -> tuple[list[Undecided], list[Exchange], list[OffLink]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
     found, fits = with_falls(search.fitter, fitted, link_findings(fitted)), list[Exchange]()
@@ -92,7 +92,9 @@ def with_links(
     return result, fits, [told_with(f, indistinguishable_from=names) for f in found]
 
 
-def instead_of_links(search: Search, fitted: Fitted, found: Sequence[OffLink], failed: dict[str, str]) -> list[Exchange]:
+def instead_of_links(
+    search: StructureSearch, fitted: Fitted, found: Sequence[OffLink], failed: dict[str, str]
+) -> list[Exchange]:
     """Fits with an effect, their last, that does what the links of a fit do that are off, with these links as described."""
     data, post = search.fitter.data, fitted.posterior
     start = replace(post, hyper=replace(post.hyper, links=np.full_like(post.hyper.links, EXACT)))
@@ -107,7 +109,9 @@ def instead_of_links(search: Search, fitted: Fitted, found: Sequence[OffLink], f
             if not same:
                 continue
             one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
-            exact = search.fitter.fit(one.model, one.links, Start(replace(post.hyper, links=others), post.joints), fixed=True)
+            exact = search.fitter.fit(
+                one.model, one.links, NoiseStart(replace(post.hyper, links=others), post.joints), fixed=True
+            )
             if as_good(squared(exact), squared(fitted), NEAR * MATTERS):
                 result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result

@@ -15,11 +15,12 @@ from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described as intervals
 from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.diagnosis.claims.effect_size import Falls, LeftOut
-from rrr_oc.diagnosis.findings import Finding, Like, further
+from rrr_oc.diagnosis.findings import further
 from rrr_oc.diagnosis.knobs import NAMED
+from rrr_oc.diagnosis.result import Finding, Like
 from rrr_oc.diagnosis.structures.linear import Addition, Structure
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import BlackBox, Delay, Signals
 
 LIKE = 2  # laws that are fitted to say what a torque is most like
@@ -122,7 +123,7 @@ def reached(place: Place, shapes: Sequence[Shape]) -> list[Shape]:
     return [replace(s, reach=reach(x, least, 1.0)) for s, x in zip(shapes, left, strict=True)]
 
 
-def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> tuple[Fitted, list[Finding]]:
+def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Finding]) -> tuple[Fitted, list[Finding]]:
     """A fit in which laws that are not named have given way to functions, and the findings with what these are most like.
 
     Args:
@@ -130,7 +131,7 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
         findings: What predicts there, with its sizes.
     """
     near = search.neighbours(complete)
-    left_out, offered = LeftOut(near), {id(a.source): a for a in near.linear.own}
+    left_out, offered = LeftOut(near), {a.source: a for a in near.linear.own}
     kept, new, told = list(findings), list[tuple[Addition, Like | None]](), list[Term]()
     for f in sorted(findings, key=lambda f: f.term.effect.black_box):
         if f not in kept or not f.matters:
@@ -139,7 +140,7 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
         stack = [g for g in kept if not g.term.effect.black_box and g.term.effect.joints == f.term.effect.joints]
         if len(stack) > 1 and f in stack:
             place = Place.of(left_out, near, f, findings, stack)
-            others = tuple(offered[id(g.term)] for g in findings if left_out.of(g.term) in place.less)
+            others = tuple(offered[g.term] for g in findings if left_out.of(g.term) in place.less)
             best = _simplest(reached(place, place.functions()))
             if best is not None and _is_better(search, complete, place, (*others, best.addition)):
                 kept = [g for g in kept if left_out.of(g.term) in place.less]
@@ -149,7 +150,7 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
         alone, laws, functions = place.shape(left_out.of(f.term)), place.laws(), place.functions()
         every = reached(place, [alone, *laws, *functions])
         laws, functions = every[1 : len(laws) + 1], every[len(laws) + 1 :]
-        others = tuple(offered[id(g.term)] for g in findings if left_out.of(g.term) in place.less)
+        others = tuple(offered[g.term] for g in findings if left_out.of(g.term) in place.less)
         if f.term.effect.black_box and any(f.term is t for t in told):
             continue
         if f.term.effect.black_box:
@@ -174,22 +175,22 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
             kept[kept.index(f)] = replace(f, reach=own.reach)
     if not new:
         return complete, kept
-    structure = (*(offered[id(g.term)] for g in kept), *(a for a, _ in new))
+    structure = (*(offered[g.term] for g in kept), *(a for a, _ in new))
     fitted = search.fit(complete, near.at(structure, left_out.hyper))
     some = [replace(g, term=t) for g, t in zip(kept, fitted.extra, strict=False)]
     every = further(search, fitted, len(kept))
-    likes = {id(t): like for t, (_, like) in zip(fitted.extra[len(kept) :], new, strict=True)}
-    return fitted, [*some, *(replace(f, like=likes[id(f.term)]) for f in every)]
+    likes = {t: like for t, (_, like) in zip(fitted.extra[len(kept) :], new, strict=True)}
+    return fitted, [*some, *(replace(f, like=likes[f.term]) for f in every)]
 
 
-def _is_better(search: Search, complete: Fitted, place: Place, structure: Structure) -> bool:
+def _is_better(search: StructureSearch, complete: Fitted, place: Place, structure: Structure) -> bool:
     """Whether a fit with a function is more probable than that with what it takes the place of."""
     fitted = search.fit(complete, place.near.at(structure, place.left_out.hyper))
     return search.scored(fitted).score > search.scored(complete).score
 
 
 def _most_like(
-    search: Search, complete: Fitted, place: Place, others: Structure, laws: Sequence[Shape], best: Shape
+    search: StructureSearch, complete: Fitted, place: Place, others: Structure, laws: Sequence[Shape], best: Shape
 ) -> Like | None:
     """The law that reaches most of what the best function does, of some that are fitted beside the others."""
     found = list[Like]()

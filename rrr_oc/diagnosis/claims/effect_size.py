@@ -20,12 +20,12 @@ from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.left_out import PARTS, Fall, block_edges, fall_of
 from rrr_oc.calibration.link_findings import FAR
-from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import acts_on
 from rrr_oc.diagnosis.knobs import MATTERS
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.diagnosis.structures.linear import Addition, Level, Links, Structure
 from rrr_oc.diagnosis.structures.neighbours import SOUGHT, SURE, Neighbours, beside
-from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import Effect
 
 ELSEWHERE = 1.0  # standard deviations between links from which fits may end in different optima; doubled, fewer are tried
@@ -75,17 +75,17 @@ class LeftOut:
     def __init__(self, near: Neighbours) -> None:
         self.near = replace(near, level=Level(near.linear, block_edges(near.level.edges)))
         self.hyper = near.linear.fitted.posterior.hyper
-        self._own = {id(a.source): in_shape(a) for a in near.linear.own}
+        self._own = {a.source: in_shape(a) for a in near.linear.own}
         self._known: dict[tuple[Structure, Links], np.ndarray] = {}
 
     def of(self, term: Term) -> Addition:
         """A term of the fit as an addition in the shape that was fitted."""
-        return self._own[id(term)]
+        return self._own[term]
 
     @property
     def whole(self) -> np.ndarray:
         """What the fit with all its effects leaves, (n, M) [Nm]."""
-        return self.residual(tuple(self._own[id(t)] for t in self.near.linear.fitted.extra))
+        return self.residual(tuple(self._own[t] for t in self.near.linear.fitted.extra))
 
     def residual(self, structure: Structure, links: Links = "as fitted") -> np.ndarray:
         """What a structure leaves of each joint's torque, (n, M) [Nm]; `links` say how far these may be off."""
@@ -167,37 +167,31 @@ def predictive(left_out: LeftOut, findings: Sequence[Finding]) -> tuple[list[Fin
 
     What predicts least is left out first, and the others are judged without it, since of two that stand for each other one predicts.
     """
-    effects = {id(f): left_out.of(f.term) for f in findings}
-    kept, out, sizes = list(findings), list[Finding](), dict[int, Falls]()
+    kept, sizes = [f.term for f in findings], dict[Term, Falls]()
 
-    def size(f: Finding) -> tuple[bool, float]:
-        whole = tuple(effects[id(g)] for g in kept)
-        less = tuple(a for a in whole if a is not effects[id(f)])
+    def size(term: Term) -> tuple[bool, float]:
+        whole = tuple(map(left_out.of, kept))
+        less = tuple(a for a in whole if a is not left_out.of(term))
         every = [
-            replace(left_out.falls(j, whole, less), scales=scales_load(f.term.effect))
-            for j in acts_on(f.term.effect, left_out.near.linear.fitter.data.n)
+            replace(left_out.falls(j, whole, less), scales=scales_load(term.effect))
+            for j in acts_on(term.effect, left_out.near.linear.fitter.data.n)
         ]
-        best = max(every, key=lambda falls: falls.surest.low)
-        sizes[id(f)] = best
+        sizes[term] = best = max(every, key=lambda falls: falls.surest.low)
         return best.predicts and not any(falls.rises_by(MATTERS) for falls in every), best.surest.low
 
     while kept:
-        every = {id(f): size(f) for f in kept}
-        least = min(kept, key=lambda f: every[id(f)])
-        if every[id(least)][0]:
+        every = {term: size(term) for term in kept}
+        least = min(kept, key=every.__getitem__)
+        if every[least][0]:
             break
         kept.remove(least)
-        out.append(least)
-
-    def sized(f: Finding) -> Finding:
-        return replace(f, fall=sizes[id(f)].error, innovations=sizes[id(f)].innovations)
-
-    largest = sorted(kept, key=lambda f: -sizes[id(f)].of_torque)
-    return [sized(f) for f in largest], [sized(f) for f in findings if f in out]
+    sized = [replace(f, fall=sizes[f.term].error, innovations=sizes[f.term].innovations) for f in findings]
+    largest = sorted((f for f in sized if f.term in kept), key=lambda f: -sizes[f.term].of_torque)
+    return largest, [f for f in sized if f.term not in kept]
 
 
 def confirmed(
-    search: Search, begin: Fitted, fitted: Fitted, findings: Sequence[Finding]
+    search: StructureSearch, begin: Fitted, fitted: Fitted, findings: Sequence[Finding]
 ) -> tuple[Fitted, list[Finding], list[Finding]]:
     """A fit, and those of its findings that predict where all is fitted again without each, shape and links and all; and the others.
 
@@ -259,7 +253,7 @@ def farther(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _of(
-    search: Search, fitted: Fitted, findings: Sequence[Finding], begin: Fitted | None = None
+    search: StructureSearch, fitted: Fitted, findings: Sequence[Finding], begin: Fitted | None = None
 ) -> tuple[Fitted, list[Finding]]:
     """The fit with these findings alone, from a fit on, or from the links of the plain fit if that is better, with their terms there."""
     terms = tuple(f.term for f in findings)

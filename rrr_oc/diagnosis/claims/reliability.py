@@ -5,14 +5,17 @@ The odds of the search compare models, all of which are a little wrong, so that 
 """
 
 import importlib.resources
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 from scipy.special import expit
+
+from rrr_oc.diagnosis.knobs import LIKELY
+from rrr_oc.diagnosis.result import Finding
 
 NAMES = ("constant", "log odds", "lower end of the fall", "what functions explain more", "rivals", "error over noise", "size")
 LEAST, MOST = 1e-3, 0.999  # that are said: the cases are some hundred
@@ -33,33 +36,57 @@ class Regression(Struct, forbid_unknown_fields=True):
     cases: str
 
 
-def features(entry: Mapping[str, Any], anatomy: Mapping[str, float]) -> np.ndarray:
-    """The quantities of an entry of `effects` or `unexplained`, with the parts of its joint's error, as of `NAMES`, (7,)."""
-    size = entry["lowers_error"]
-    ends = [x["interval"][0] for x in (size, size["innovations"]) if x is not None and x["interval"] is not None]
-    noise, rest = anatomy.get("noise", 0.0), anatomy.get("not explained", 0.0)
+def judged(findings: Sequence[Finding], anatomy: Sequence[Mapping[str, float]]) -> list[Finding]:
+    """Findings with how often claims like each are right. A law that is right less often than `LIKELY` is not named.
+
+    Args:
+        anatomy: Of each joint the parts of its error, see `anatomy.anatomy`.
+    """
+    result, known = [], regression()
+    for f in findings:
+        parts = anatomy[f.joint]
+        law = probability_of(_features_of(f, parts, True), known.law)
+        named = not (f.term.effect.black_box or f.with_function) and law >= LIKELY
+        right = law if named else probability_of(_features_of(f, parts, False), known.dependence)
+        result.append(replace(f, named=named, right=None if f.with_function else right))
+    return result
+
+
+def _features_of(f: Finding, parts: Mapping[str, float], law: bool) -> np.ndarray:
+    lows = [x.low for x in (f.fall, f.innovations) if x is not None and np.isfinite([x.low, x.high]).all()]
+    return features(f.worth, lows, f.of_torque, parts, f.reach if law else None, len(f.rivals) * law)
+
+
+def features(
+    log_odds: float, lows: Sequence[float], size: float, parts: Mapping[str, float], reach: float | None = None, rivals: int = 0
+) -> np.ndarray:
+    """What is known of a claim, as of `NAMES`, (7,).
+
+    Args:
+        log_odds: By how much it raises the logarithm of the posterior probability [nats].
+        lows: Lower ends of the falls of the error and of its innovations [1].
+        size: The larger of both over the joint's torque [1].
+        parts: Of its joint's error.
+        reach: Share of what a function explains that the law explains; of a law that was compared with one.
+        rivals: How many laws may be in its place.
+    """
+    noise, rest = parts.get("noise", 0.0), parts.get("not explained", 0.0)
     return np.array(
         [
             1.0,
-            np.log(max(entry["log_odds"], 1.0)),
-            np.clip(max(ends, default=0.0), -0.2, 1.0),
-            1 - np.clip(1.0 if entry.get("reaches") is None else entry["reaches"], 0.0, 1.0),
-            np.log1p(len(entry.get("rivals", ()))),
+            np.log(max(log_odds, 1.0)),
+            np.clip(max(lows, default=0.0), -0.2, 1.0),
+            1 - np.clip(1.0 if reach is None else reach, 0.0, 1.0),
+            np.log1p(rivals),
             0.5 * np.log1p(max(rest, 0.0) / max(noise, 1e-12)),
-            np.log(max(size["of_torque"], 1e-4)),
+            np.log(max(size, 1e-4)),
         ]
     )
 
 
-def probability(entry: Mapping[str, Any], anatomy: Mapping[str, float]) -> float:
-    """How often claims like an entry are right."""
-    known = regression()
-    return probability_of(features(entry, anatomy), np.array(known.law if "effect" in entry else known.dependence))
-
-
-def probability_of(quantities: np.ndarray, coefficients: np.ndarray) -> float:
+def probability_of(quantities: np.ndarray, coefficients: Sequence[float] | np.ndarray) -> float:
     """The probability by a regression."""
-    return float(np.clip(expit(quantities @ coefficients), LEAST, MOST))
+    return float(np.clip(expit(quantities @ np.asarray(coefficients)), LEAST, MOST))
 
 
 @cache

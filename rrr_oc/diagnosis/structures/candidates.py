@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
-from rrr_oc.calibration.estimator.evidence import Solution
+from rrr_oc.calibration.estimator.evidence import LinearSolution
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
-from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.signatures import Signatures
 from rrr_oc.diagnosis.structures.linear import Blocks, Candidate, Level, Structure
 from rrr_oc.effects import Trial
 
@@ -75,7 +75,7 @@ def root_of(matrix: np.ndarray) -> np.ndarray:
     raise LinAlgError("not positive definite")
 
 
-def at_bounds(post: Solution) -> np.ndarray:
+def at_bounds(post: LinearSolution) -> np.ndarray:
     """Which coefficients are at a bound where they began, and would leave it if they could, (p,): no other effect moves them."""
     prior = post.prior
     slope = post.right + prior.precision * prior.mean - post.matrix @ post.step
@@ -99,7 +99,7 @@ class Screen:
     """
 
     level: Level
-    table: Table
+    table: Signatures
     labels: tuple[str, ...]
     groups: list[list[int]]
     sigma: np.ndarray
@@ -111,7 +111,7 @@ class Screen:
     right: np.ndarray
 
     @classmethod
-    def of(cls, level: Level, table: Table, structure: Structure, blocks: Blocks, post: Solution) -> "Screen":
+    def of(cls, level: Level, table: Signatures, structure: Structure, blocks: Blocks, post: LinearSolution) -> "Screen":
         """Of the trials of a table beside a structure that was solved on some blocks."""
         hyper, total, names = post.hyper, int(table.start[-1]), level.linear.fitter.data.groups
         labels = tuple(dict.fromkeys(names[b] for b in blocks))

@@ -17,8 +17,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.estimator.evidence import (
     Gram,
     Hyperparameters,
-    Prior,
-    Solution,
+    LinearSolution,
+    ParameterPrior,
     Spectrum,
     estimated,
     extended,
@@ -29,7 +29,7 @@ from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
-from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.signatures import Signatures
 from rrr_oc.effects import Effect, Trial
 
 COLUMNS = 3000  # of tables whose products a level keeps; more take memory
@@ -79,7 +79,7 @@ class Addition:
         effect: The effect.
         scope: Groups that have it; None for all.
         columns: (n, M, m) [Nm].
-        mean, precision, flat, lower, upper: Of the prior of their coefficients, see `evidence.Prior`, (m,) each.
+        mean, precision, flat, lower, upper: Of the prior of their coefficients, see `evidence.ParameterPrior`, (m,) each.
         log_prior: Logarithm of the prior odds of the effect, of its shape, and of the width of the prior of its coefficients.
         source: The term of the fitted model, or the candidate that it is.
     """
@@ -142,7 +142,7 @@ class Linear:
     fitter: Fitter
     fitted: Fitted
     columns: np.ndarray
-    prior: Prior
+    prior: ParameterPrior
     residual: np.ndarray
     own: Structure
 
@@ -151,12 +151,11 @@ class Linear:
         """The linear problem about a fit."""
         data, model, links = fitter.data, fitted.model, fitted.links
         (whole_residual, columns), whole = fitter.linearised(model, links), fitter.prior(model, links)
-        first = sum(len(t.estimates) for t in model.terms[: fitted.base])
-        last = first + sum(len(t.estimates) for t in fitted.extra)
+        first, last = model.offsets[fitted.base], model.offsets[-1]
         inside = np.r_[np.arange(first), np.arange(last, len(whole.mean))]
-        residual, own, at = whole_residual.copy(), [], first
+        residual, own = whole_residual.copy(), []
         for i, term in enumerate(fitted.extra):
-            at, mine = at + len(term.estimates), slice(at, at + len(term.estimates))
+            mine = slice(*model.offsets[fitted.base + i : fitted.base + i + 2])
             if term.effect.linear and term.effect.side == "drive":  # all that the effect explains
                 change = columns[:, :, mine] @ term.values
             else:
@@ -169,7 +168,7 @@ class Linear:
         base = joined(whole.some(inside), np.ones(signs.shape[2]))
         return cls(fitter, fitted, np.concatenate([columns[:, :, inside], signs], axis=2), base, residual, tuple(own))
 
-    def prior_with(self, structure: Structure, links: Links = "free") -> Prior:
+    def prior_with(self, structure: Structure, links: Links = "free") -> ParameterPrior:
         """The prior of all coefficients; links are free, no further off than in the fit or than is worth telling, or never so far."""
         prior = self.prior
         if links != "free" and np.any(prior.links):
@@ -191,7 +190,7 @@ class Linear:
             at += columns.shape[2]
         return result
 
-    def candidate(self, table: Table, c: Candidate) -> Addition:
+    def candidate(self, table: Signatures, c: Candidate) -> Addition:
         """A candidate as an addition."""
         columns = table.of(next(k for k, t in enumerate(table.trials) if t is c.trial))
         if c.scope is not None:
@@ -236,7 +235,7 @@ class TableProducts:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class WhiteAddition:
     """An addition under a level's noise, by the joints whose torque it changes: whitened (M, m), also back, and products (B, L, m)."""
 
     white: dict[int, np.ndarray]
@@ -278,9 +277,9 @@ class Level:
         self.products = [np.array([x.T @ x for x in self.split(w)]) for w in white]
         # W does not cross the ends of recordings; where blocks are shorter, products by block need both sides whitened
         self._white = None if edges is None else white
-        self._parts: dict[Addition, Part] = {}
+        self._parts: dict[Addition, WhiteAddition] = {}
         self._pairs: dict[tuple[Addition, Addition, int], np.ndarray] = {}
-        self._tables: dict[Table, list[TableProducts]] = {}
+        self._tables: dict[Signatures, list[TableProducts]] = {}
         self._sums: dict[Blocks, list[Sums]] = {}
         self._last: tuple[tuple[Structure, Blocks], list[Gram]] | None = None
 
@@ -297,7 +296,7 @@ class Level:
         """All blocks."""
         return tuple(range(len(self.edges) - 1))
 
-    def part(self, a: Addition) -> Part:
+    def part(self, a: Addition) -> WhiteAddition:
         """An addition under this noise."""
         if a not in self._parts:
             noise = [one.white for one in self.posterior.joints]
@@ -307,7 +306,7 @@ class Level:
                 j: self._blockwise(self.columns(j), back[j]) if self._white is None else self._blockwise(self._white[j], x)
                 for j, x in white.items()
             }
-            self._parts[a] = Part(white, back, left)
+            self._parts[a] = WhiteAddition(white, back, left)
         return self._parts[a]
 
     def pair(self, a: Addition, b: Addition, j: int) -> np.ndarray:
@@ -363,7 +362,7 @@ class Level:
 
     def solved(
         self, structure: Structure, blocks: Blocks, hyper: Hyperparameters, fixed: bool = False, links: Links = "free"
-    ) -> Solution:
+    ) -> LinearSolution:
         """The posterior of a structure from some blocks; its hyperparameters are estimated, from `hyper` on, or these are `fixed`.
 
         Args:
@@ -372,7 +371,7 @@ class Level:
         spectra = [one.spectrum for one in self.sums(blocks)]
         return estimated(self.grams(structure, blocks), spectra, hyper, self.linear.prior_with(structure, links), fixed)
 
-    def table(self, table: Table) -> list[TableProducts]:
+    def table(self, table: Signatures) -> list[TableProducts]:
         """The products of a table, by joint; those of the first tables are kept, and of the newest."""
         if table not in self._tables:
             while len(self._tables) > 1 and sum(int(t.start[-1]) for t in (table, *self._tables)) > COLUMNS:
@@ -380,11 +379,11 @@ class Level:
             self._tables[table] = [self._of_table(table, j) for j in range(self.n)]
         return self._tables[table]
 
-    def forget(self, table: Table) -> None:
+    def forget(self, table: Signatures) -> None:
         """Keep the products of a table no longer."""
         self._tables.pop(table, None)
 
-    def _of_table(self, table: Table, j: int) -> TableProducts:
+    def _of_table(self, table: Signatures, j: int) -> TableProducts:
         values, used, sizes = table.values[j], table.used[j], np.diff(table.start)
         owner = np.searchsorted(table.start, used, side="right") - 1
         noise = self.posterior.joints[j].white
@@ -404,7 +403,7 @@ class Level:
             own[m] = where, first, products
         return TableProducts(used, left, own)
 
-    def across(self, a: Addition, table: Table, j: int) -> np.ndarray:
+    def across(self, a: Addition, table: Signatures, j: int) -> np.ndarray:
         """Products of an addition with a table's columns at a joint, by block, (B, m, T)."""
         return self._blockwise(self.part(a).back[j], table.values[j])
 

@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from rrr_oc.calibration.estimator.evidence import Hyperparameters, Solution
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, LinearSolution
 from rrr_oc.diagnosis.fitting import exact
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
-from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.signatures import Signatures
 from rrr_oc.diagnosis.structures.candidates import Screen
 from rrr_oc.diagnosis.structures.linear import (
     Addition,
@@ -65,7 +65,7 @@ class Predicted:
     """A structure with its posterior in a linear problem, and the logarithm of its probability up to a constant."""
 
     structure: Structure
-    solution: Solution
+    solution: LinearSolution
     score: float
     linear: Linear
 
@@ -99,7 +99,7 @@ class Neighbours:
     """
 
     linear: Linear
-    tables: Callable[[int | None], Table]
+    tables: Callable[[int | None], Signatures]
     blocks: Blocks
     level: Level
     exact: Callable[[], "Neighbours | None"]
@@ -287,9 +287,9 @@ class Repetitions:
 
     keys: Sequence[Key]
     last: Neighbours
-    table: Callable[[int, Sequence[Trial]], Table]
+    table: Callable[[int, Sequence[Trial]], Signatures]
     _promising: dict[int | None, list[Trial]] = field(default_factory=dict, repr=False)
-    _tables: dict[tuple[int, int | None], Table] = field(default_factory=dict, repr=False)
+    _tables: dict[tuple[int, int | None], Signatures] = field(default_factory=dict, repr=False)
 
     def about(self, key: Key, blocks: Blocks) -> Neighbours:
         """The neighbours of a structure on some blocks.
@@ -303,7 +303,7 @@ class Repetitions:
         """The number of the fit with most of these effects and no others."""
         return max((k for k, own in enumerate(self.keys) if own <= key), key=lambda k: (len(self.keys[k]), k))
 
-    def _table(self, number: int, joint: int | None) -> Table:
+    def _table(self, number: int, joint: int | None) -> Signatures:
         """Signatures at a fit of what is promising of the catalogue, or of a joint's black-box terms."""
         if (number, joint) not in self._tables:
             self._tables[number, joint] = self.table(number, self.promising(joint))

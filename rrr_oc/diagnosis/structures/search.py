@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.estimator.evidence import Posterior, Start, gain_of_other_noise
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, NoiseStart, Posterior, gain_of_other_noise
 from rrr_oc.calibration.estimator.fitting import STEPS_ON, Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
-from rrr_oc.diagnosis.signatures import Table, Tables
+from rrr_oc.diagnosis.signatures import Signatures, Tables
 from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
 from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Neighbours, Predicted, Repetitions, beside, overlapping
 from rrr_oc.effects import MovesLink, Trial
@@ -30,7 +30,7 @@ CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may
 
 
 @dataclass
-class State:
+class FittedStructure:
     """A structure that was fitted.
 
     Attributes:
@@ -42,13 +42,28 @@ class State:
     score: float
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What a search remembers, without its data.
+
+    Attributes:
+        path: Of each structure that was accepted: its model, the errors of its links, its score, what is estimated beside the parameters,
+            and of each joint the degrees of freedom of its noise, the weights of its rows and the logarithm of W's determinant.
+        visited, predicted: See `StructureSearch`.
+    """
+
+    path: tuple[tuple[CalibratedModel, np.ndarray, float, Hyperparameters, tuple[tuple[float, np.ndarray, float], ...]], ...]
+    visited: dict[Key, float]
+    predicted: dict[Key, float]
+
+
 def name_of(term: Term) -> tuple:
     """What a structure is compared by: effect without its range, joints, groups."""
     return term.effect.without_range(), term.groups
 
 
 @dataclass
-class Search:
+class StructureSearch:
     """One search.
 
     Attributes:
@@ -67,28 +82,49 @@ class Search:
     report: Callable[[str, int], None] = lambda *_: None
     visited: dict[Key, float] = field(default_factory=dict)
     predicted: dict[Key, float] = field(default_factory=dict)
-    path: list[State] = field(default_factory=list)
+    path: list[FittedStructure] = field(default_factory=list)
     _missed: dict[Key, float] = field(default_factory=dict, repr=False)
     _waiting: dict[Key, float] = field(default_factory=dict, repr=False)
     _near: list[Neighbours] = field(default_factory=list, repr=False)
 
     @classmethod
-    def of(cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None) -> "Search":
+    def of(
+        cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None
+    ) -> "StructureSearch":
         """A search among trials of the catalogue, and black-box terms."""
         return cls(fitter, fitter.few(), Tables(fitter.data.prepared, fitter.data.kept, trials, fitter.view), report)
 
-    def scored(self, fitted: Fitted) -> State:
+    @property
+    def memory(self) -> Memory:
+        """What it remembers."""
+
+        def of(at: FittedStructure) -> tuple[Any, ...]:
+            post = at.fitted.posterior
+            joints = tuple((one.freedom, one.weights(post.data, j), one.log_det) for j, one in enumerate(post.joints))
+            return at.fitted.model, at.fitted.links, at.score, post.hyper, joints
+
+        return Memory(tuple(map(of, self.path)), dict(self.visited), dict(self.predicted))
+
+    def restored(self, memory: Memory) -> "StructureSearch":
+        """The search with what it remembers, its structures fitted again under the hyperparameters that were estimated."""
+        data, path = self.fitter.data, []
+        for model, links, score, hyper, kept in memory.path:
+            joints = tuple(Joint.weighted(data, j, hyper.noise[j], *one) for j, one in enumerate(kept))
+            path.append(FittedStructure(self.fitter.fit(model, links, NoiseStart(hyper, joints), fixed=True), score))
+        return replace(self, visited=dict(memory.visited), predicted=dict(memory.predicted), path=path)
+
+    def scored(self, fitted: Fitted) -> FittedStructure:
         """A fit with the prior probability of its structure."""
         score = fitted.log_evidence + self._log_prior(fitted.extra)
         key = key_of(name_of(t) for t in fitted.extra)
         self.visited[key] = max(score, self.visited.get(key, -np.inf))
-        return State(fitted, score)
+        return FittedStructure(fitted, score)
 
     def _log_prior(self, terms: Sequence[Term]) -> float:
         each = (self.fitter.log_prior(t.effect, t.groups or None) + self.fitter.excess(t)[1] for t in terms)
         return float(sum(each))
 
-    def run(self, start: Fitted) -> State:
+    def run(self, start: Fitted) -> FittedStructure:
         """The best structure that the moves reach from a fitted model.
 
         Of long recordings, effects are added on a part of them first, which tells most from others.
@@ -97,7 +133,7 @@ class Search:
         self._waiting.clear()
         self.path[:] = [self.scored(start)]
         if self.few is not self.fitter:
-            part = Search.of(self.few, self.tables.trials, self.report)
+            part = StructureSearch.of(self.few, self.tables.trials, self.report)
             part.path[:] = [part.scored(self.few.fit(start.model, start.links))]
             while (better := part._better(part.path[-1], additions=True)) is not None:
                 part.path.append(better)
@@ -107,7 +143,7 @@ class Search:
             self.path.append(better)
         return self.path[-1]
 
-    def completed(self, at: State) -> Fitted:
+    def completed(self, at: FittedStructure) -> Fitted:
         """The fit of a structure with all further effects that are sure, however small."""
         near = self.neighbours(at.fitted)
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
@@ -118,7 +154,7 @@ class Search:
         found = self._fitted(at, best)
         return found.fitted if found.score > at.score else at.fitted
 
-    def worths(self, at: State) -> list[float]:
+    def worths(self, at: FittedStructure) -> list[float]:
         """By how much the log posterior falls without each effect; as fitted where that is known, else as predicted."""
         near, result = self.neighbours(at.fitted), []
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
@@ -158,11 +194,11 @@ class Search:
         keys = [key_of(name_of(t) for t in fitted.extra) for fitted in some]
         return Repetitions(keys, self.neighbours(some[-1]), lambda number, trials: self.tables.of(some[number].model, trials))
 
-    def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Table]:
+    def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Signatures]:
         """The tables at a fit, each made when it is first asked for."""
         return cache(lambda joint: self.tables.at(fitted.model, joint))
 
-    def _better(self, at: State, additions: bool = False) -> State | None:
+    def _better(self, at: FittedStructure, additions: bool = False) -> FittedStructure | None:
         """The best neighbour by the first kind of move that has a better one; only `additions` are made if so asked for."""
         near = self.neighbours(at.fitted)
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
@@ -200,13 +236,13 @@ class Search:
         one, hyper = p.linear.fitted.posterior.joints[j], p.solution.hyper
         return gain_of_other_noise(self.fitter.data, j, one, hyper.sigma[j], hyper.discrepancy[j], left)
 
-    def _best(self, at: State, here: Predicted, every: Sequence[Predicted]) -> State | None:
+    def _best(self, at: FittedStructure, here: Predicted, every: Sequence[Predicted]) -> FittedStructure | None:
         """The best of some neighbours that is better than where the search is, fitted exactly.
 
         A shape may be better than it is predicted on the grid of its trials. By as much as a change of a structure missed its
         prediction when it was fitted last, it is expected to miss it again.
         """
-        best, chosen, more, tried = None, None, 0.0, list[tuple[State, Predicted]]()
+        best, chosen, more, tried = None, None, 0.0, list[tuple[FittedStructure, Predicted]]()
         hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_nonlinear]
         for p in hopeful[:FITTED]:
             gain = p.score - here.score
@@ -239,7 +275,7 @@ class Search:
         self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
-    def _fitted(self, at: State, p: Predicted, wanted: float = -np.inf) -> State:
+    def _fitted(self, at: FittedStructure, p: Predicted, wanted: float = -np.inf) -> FittedStructure:
         """A predicted structure, fitted from where it is predicted on, with its score; not to the end if that is less than `wanted`."""
         return self.scored(self.fit(at.fitted, p, wanted))
 
@@ -248,10 +284,10 @@ class Search:
 
         Errors of links begin with that share of what is predicted with which the residual is smallest: bodies are exponential in them.
         """
-        about, start = p.linear.fitted, Start(p.solution.hyper, p.linear.fitted.posterior.joints)
+        about, start = p.linear.fitted, NoiseStart(p.solution.hyper, p.linear.fitted.posterior.joints)
         model = replace(about.model, terms=terms_of(about, p.structure, self.fitter.data.labels))
         step = np.zeros(len(self.fitter.prior(model, about.links).mean))
-        plain = sum(len(t.estimates) for t in about.model.terms[: about.base])
+        plain = about.model.offsets[about.base]
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
         own, most = slice(len(step) - rest, len(step) - rest + len(about.links)), np.maximum(np.abs(about.links), FAR)
@@ -269,29 +305,29 @@ class Search:
             near = self.few.with_signs(near)
         return self._on_all(near, start, wanted=wanted)
 
-    def _start_of_few(self, start: Posterior | Start) -> Posterior | Start:
-        return start if self.few is self.fitter else Start.of(self.few.data, start.hyper)
+    def _start_of_few(self, start: Posterior | NoiseStart) -> Posterior | NoiseStart:
+        return start if self.few is self.fitter else NoiseStart.of(self.few.data, start.hyper)
 
-    def _on_few(self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start, **options: Any) -> Fitted:
+    def _on_few(self, model: CalibratedModel, links: np.ndarray, start: Posterior | NoiseStart, **options: Any) -> Fitted:
         """A fit to the part of the recordings; `start` is of all of them."""
         return self.few.fit(model, links, self._start_of_few(start), **options)
 
-    def _on_all(self, near: Fitted, start: Posterior | Start, **options: Any) -> Fitted:
+    def _on_all(self, near: Fitted, start: Posterior | NoiseStart, **options: Any) -> Fitted:
         """The fit to all recordings that goes on from one to the part of them."""
         options = {"steps": STEPS_ON} | options
         return near if self.few is self.fitter else self.fitter.fit(near.model, near.links, start, **options)
 
-    def _restarted(self, found: State, p: Predicted) -> State:
+    def _restarted(self, found: FittedStructure, p: Predicted) -> FittedStructure:
         """The most probable of a fit and of those from other starts of its new effects."""
         return self._from_other_starts(found, [i for i, a in enumerate(p.structure) if a in p.new])
 
-    def _reformed(self, at: State) -> State | None:
+    def _reformed(self, at: FittedStructure) -> FittedStructure | None:
         """A better fit of the last structure from other starts of its effects, but for gears, fits of which take long."""
         some = [i for i, t in enumerate(at.fitted.extra) if not isinstance(t.effect, MovesLink)]
         better = self._from_other_starts(at, some)
         return better if better.score > at.score + LEAST_GAIN else None
 
-    def _from_other_starts(self, at: State, some: Sequence[int]) -> State:
+    def _from_other_starts(self, at: FittedStructure, some: Sequence[int]) -> FittedStructure:
         post, alike = at.fitted.posterior, self.few is self.fitter
         first = best = at.fitted if alike or not some else self._on_few(at.fitted.model, at.fitted.links, post)
         for i in some:

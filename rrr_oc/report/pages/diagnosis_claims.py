@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.diagnosis.findings import LESS_PROBABLE
+from rrr_oc.diagnosis.result import LESS_PROBABLE
 from rrr_oc.effects.words import joint_words, listed, read, rounded
 from rrr_oc.report import diagnosis_words as say
 
@@ -14,7 +14,7 @@ CONCENTRATED = 1.5  # share of the error over share of the time from which a ran
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimText:
     """A claim as a report has it.
 
     Attributes:
@@ -32,7 +32,7 @@ class Claim:
     facts: tuple[tuple[str, str], ...]
 
 
-def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
+def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[ClaimText]:
     """The claims of a diagnosis, most important first, then torques of which no law is sure.
 
     Args:
@@ -47,7 +47,7 @@ def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
     ]
 
 
-def _claim(title: str, sentence: str, e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> Claim:
+def _claim(title: str, sentence: str, e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> ClaimText:
     facts = (
         ("Where", _where(e, found, files)),
         ("Rests on", _rests_on(e, found)),
@@ -55,7 +55,7 @@ def _claim(title: str, sentence: str, e: Mapping[str, Any], found: Mapping[str, 
         ("On unseen data", _unseen(e, found)),
     )
     numbers = [f"{symbol} = {read(entry)}" for symbol, entry in e.get("parameters", {}).items()]
-    return Claim(title[:1].upper() + title[1:], sentence, e.get("equation", ""), ", ".join(numbers), facts)
+    return ClaimText(title[:1].upper() + title[1:], sentence, e.get("equation", ""), ", ".join(numbers), facts)
 
 
 def _where(e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rrr_oc.calibration.samples import blocks_of
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.errors import noted
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.prediction_error import SIGNALS
-from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.effects.words import joint_words, rounded
 from rrr_oc.report import diagnosis_words as say
 from rrr_oc.report.pages.diagnosis_claims import claims, covered, record_next, remaining, small
@@ -56,7 +56,6 @@ def _json(path: Path) -> Any:
 def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str, Any]) -> str:
     """The page as HTML, from the content of diagnosis.json, figures.npz and model.json."""
     joints = curves["joints"].tolist()
-    worst = max(range(len(joints)), key=lambda j: found["bootstrap"][joints[j]]["before"]["value"] or 0.0)
     figures, data = _figures(found, curves)
     return render(
         "diagnosis.html",
@@ -68,7 +67,7 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str,
         verdict=say.sentence(found),
         recordings=[(str(k), file) for k, file in enumerate(curves["files"].tolist())],
         joints=[(str(j), joint_words(joint)) for j, joint in enumerate(joints)],
-        first=(str(curves["worst"]), str(worst)),
+        first=_first_shown(found, curves, joints),
         everything=ALL,
         same=_same(found),
         errors=_error_rows(found),
@@ -90,6 +89,18 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str,
         covered=covered(joints, _motions(curves)),
         suggestions=[[say.told_apart(found, s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
     )
+
+
+def _first_shown(found: Mapping[str, Any], curves: Curves, joints: Sequence[str]) -> tuple[str, str]:
+    """Numbers of the recording and of the joint that are shown at first: the joint of the first claim, where its error falls most; without
+    a claim what the plain model predicts worst."""
+    claimed = [*say.missing(found), *found["unexplained"]]
+    if not claimed:
+        worst = max(range(len(joints)), key=lambda j: found["bootstrap"][joints[j]]["before"]["value"] or 0.0)
+        return str(curves["worst"]), str(worst)
+    j = joints.index(claimed[0]["lowers_error"]["joint"])
+    falls = curves["missed"][:, j, 0] - curves["missed"][:, j, 1]
+    return str(int(np.argmax(np.nan_to_num(falls, nan=-np.inf)))), str(j)
 
 
 def _motions(curves: Curves) -> dict[str, tuple[np.ndarray, np.ndarray]]:

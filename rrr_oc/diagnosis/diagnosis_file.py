@@ -11,13 +11,10 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.link_findings import Fallen, OffLink, entries
 from rrr_oc.diagnosis.claims.dependence import variables
-from rrr_oc.diagnosis.claims.reliability import probability
-from rrr_oc.diagnosis.events import Event
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
+from rrr_oc.diagnosis.findings import named
 from rrr_oc.diagnosis.held_out import ranges
-from rrr_oc.diagnosis.knobs import LIKELY
-from rrr_oc.diagnosis.mismatch import FAR
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.diagnosis.knobs import FAR
+from rrr_oc.diagnosis.result import LINK_ERRORS, Diagnosis, Event, Finding, Undecided, shown_as
 from rrr_oc.effects import BlackBox, OfEach
 from rrr_oc.effects.words import listed
 from rrr_oc.recordings.recording import RecordingSet
@@ -28,7 +25,7 @@ Files = Literal["all", "each"] | tuple[str, ...]  # recordings; "each": all, wit
 Joint = str | tuple[str, ...] | None  # one joint, several, or the arm as a whole
 
 
-class Place(Struct, forbid_unknown_fields=True):
+class PlaceEntry(Struct, forbid_unknown_fields=True):
     """A range of a variable in which the error of the plain model is concentrated.
 
     Attributes:
@@ -74,11 +71,11 @@ class Mismatch(Struct, forbid_unknown_fields=True):
     significant: bool
     p_value: float
     nrmse: Errors
-    where: tuple[Place, ...]
+    where: tuple[PlaceEntry, ...]
     recordings: tuple[str, ...]
 
 
-class Estimate(Struct, forbid_unknown_fields=True):
+class EstimateEntry(Struct, forbid_unknown_fields=True):
     """An estimated parameter, or an option that the effect was found with.
 
     Attributes:
@@ -145,7 +142,7 @@ class Lowered(Fallen):
     of_torque: float | None
 
 
-class Claim(Named):
+class ClaimEntry(Named):
     """An effect that the tool adds to the model.
 
     Attributes:
@@ -165,7 +162,7 @@ class Claim(Named):
 
     recordings: Files
     equation: str
-    parameters: dict[str, Estimate]
+    parameters: dict[str, EstimateEntry]
     p_value: float
     probability: float | None
     log_odds: float
@@ -177,7 +174,7 @@ class Claim(Named):
     follows: Literal["load", "motor"] | None = None
 
 
-class Member(Named):
+class MemberEntry(Named):
     """An effect of a class that the recordings do not decide in.
 
     Attributes:
@@ -186,7 +183,7 @@ class Member(Named):
     """
 
     recordings: Files
-    parameters: dict[str, Estimate]
+    parameters: dict[str, EstimateEntry]
 
 
 class Class(Struct, forbid_unknown_fields=True):
@@ -198,12 +195,12 @@ class Class(Struct, forbid_unknown_fields=True):
         decided_by: The suggested recording that would decide, as `suggested_recordings[0]`; null where none would.
     """
 
-    members: tuple[Member, ...]
+    members: tuple[MemberEntry, ...]
     probability: float
     decided_by: str | None
 
 
-class Possible(Named):
+class PossibleEntry(Named):
     """An effect that is less probable than a claim needs.
 
     Attributes:
@@ -251,7 +248,7 @@ class Valid(Struct, forbid_unknown_fields=True):
     range: tuple[float, float]
 
 
-class Like(Named):
+class LikeEntry(Named):
     """A law that a torque is most like.
 
     Attributes:
@@ -259,7 +256,7 @@ class Like(Named):
         reaches: Share of what the best function of the torque's variables explains that the law explains [1].
     """
 
-    parameters: dict[str, Estimate]
+    parameters: dict[str, EstimateEntry]
     reaches: float
 
 
@@ -287,8 +284,8 @@ class Unexplained(Struct, forbid_unknown_fields=True):
     probability: float | None
     log_odds: float
     lowers_error: Lowered
-    most_like: Like | None
-    parameters: dict[str, Estimate]
+    most_like: LikeEntry | None
+    parameters: dict[str, EstimateEntry]
     validity: tuple[Valid, ...]
     description: str
 
@@ -397,7 +394,7 @@ class Bootstrap(Struct, forbid_unknown_fields=True):
     ratio: Mean
 
 
-class Simulated(Struct, forbid_unknown_fields=True):
+class SimulatedEntry(Struct, forbid_unknown_fields=True):
     """Errors while the MuJoCo model tracks the recordings with its controllers.
 
     Attributes:
@@ -429,7 +426,7 @@ class Measured(Struct, forbid_unknown_fields=True):
     used: Literal["q", "dq", "q and dq"]
 
 
-class Part(Struct, forbid_unknown_fields=True):
+class PartEntry(Struct, forbid_unknown_fields=True):
     """A part of an error.
 
     Attributes:
@@ -479,10 +476,10 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     held_out: Literal["recordings", "blocks"]
     mismatch: tuple[Mismatch, ...]
     left_over: dict[str, float]
-    effects: tuple[Claim, ...]
+    effects: tuple[ClaimEntry, ...]
     undecided: tuple[Class, ...]
-    small: tuple[Claim, ...]
-    possible: tuple[Possible, ...]
+    small: tuple[ClaimEntry, ...]
+    possible: tuple[PossibleEntry, ...]
     not_confirmed: tuple[Refuted, ...]
     unexplained: tuple[Unexplained, ...]
     idle: tuple[Idle, ...]
@@ -496,8 +493,8 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     alone: tuple[str, ...]
     measurement: dict[str, Measured]
     events: tuple[Event, ...]
-    anatomy: dict[str, tuple[Part, ...]]
-    simulated: Simulated | None = None
+    anatomy: dict[str, tuple[PartEntry, ...]]
+    simulated: SimulatedEntry | None = None
     failed: dict[str, str] = {}
 
 
@@ -511,24 +508,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
 
     anatomy = dict(zip(joints, diagnosis.anatomy, strict=False))
 
-    def likely(entry: dict[str, Any]) -> dict[str, Any]:
-        return entry | {"probability": probability(entry, anatomy.get(entry["lowers_error"]["joint"], {}))}
-
-    laws = [(f, likely(_claim(diagnosis, f))) for f in diagnosis.findings if not (f.term.effect.black_box or f.with_function)]
-    doubtful = [f for f, entry in laws if entry["probability"] < LIKELY]
-    described = [f for f in diagnosis.findings if f.term.effect.black_box or f in doubtful]
-    unexplained = [likely(_unexplained(diagnosis, f)) for f in described]
-    sure = diagnosis.links or len(doubtful) < len(laws) or any(u["probability"] >= LIKELY for u in unexplained)
     found = {
         "format": FORMAT,
-        "verdict": diagnosis.verdict if sure or diagnosis.verdict == "nothing_missing" else "cannot_tell",
+        "verdict": diagnosis.verdict,
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
-        "effects": [
-            *(entry for f, entry in laws if f not in doubtful),
-            *(_claim(diagnosis, f) for f in diagnosis.late),
-        ],
+        "effects": [_claim(diagnosis, f) for f in (*diagnosis.findings, *diagnosis.late) if f.named],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
         "small": [_claim(diagnosis, f) | {"probability": None} for f in diagnosis.small],
         "possible": [
@@ -536,7 +522,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             for p in diagnosis.possible
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
-        "unexplained": unexplained,
+        "unexplained": [_unexplained(diagnosis, f) for f in diagnosis.findings if not (f.named or f.with_function)],
         "events": [msgspec.to_builtins(e) for e in diagnosis.events],
         "anatomy": {j: [{"part": part, "share": x} for part, x in parts.items()] for j, parts in anatomy.items()},
         "measurement": dict(model.report.get("measurement", {})),
@@ -593,7 +579,7 @@ def _claim(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
         **finding.term.effect.said,
         "parameters": _parameters(finding.term, diagnosis.recordings),
         "p_value": finding.p_value,
-        "probability": finding.probability,
+        "probability": finding.right,
         "log_odds": finding.worth,
         "nrmse": {"held_out_before": fall.before, "held_out_after": fall.before - fall.of_torque},
         "lowers_error": _lowered(finding, joints),
@@ -641,7 +627,7 @@ def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
         "depends_on": on,
         "recordings": files,
         "p_value": finding.p_value,
-        "probability": finding.probability,
+        "probability": finding.right,
         "log_odds": finding.worth,
         "lowers_error": _lowered(finding, joints),
         "most_like": like,

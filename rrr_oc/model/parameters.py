@@ -1,0 +1,17 @@
+"""Where the parameters of effects stand in the one vector of all."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rrr_oc.effects import Effect
+
+
+def offsets(effects: Sequence[Effect]) -> list[int]:
+    """Number of the first parameter of each effect, and last that of all parameters."""
+    return [0, *np.cumsum([len(effect.parameters) for effect in effects]).tolist()]
+
+
+def for_each(values: Sequence[bool], effects: Sequence[Effect]) -> np.ndarray:
+    """What holds for each effect, for each of its parameters, (p,)."""
+    return np.repeat(np.array(values, bool), [len(effect.parameters) for effect in effects])
