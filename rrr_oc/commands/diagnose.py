@@ -129,6 +129,7 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         output.show(table)
     parts = (
         told.events,
+        told.wanders,
         told.undecided,
         told.off_links,
         told.measured,

@@ -448,6 +448,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         held_out: What took no part in fits and choices: whole recordings, or blocks of the only one.
         mismatch: Where the plain model fails, a joint each.
         left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
+        wander: Joints whose error changes over seconds whatever the arm does, as the zero of a torque sensor, with its rms [Nm].
         effects: Laws that the model has beyond friction and rotors, most important first; and, last, a delay of all torques, which is no
             physics that is missing.
         undecided: Effects that these recordings do not tell from errors of the links; the model does not have them.
@@ -476,6 +477,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     held_out: Literal["recordings", "blocks"]
     mismatch: tuple[Mismatch, ...]
     left_over: dict[str, float]
+    wander: dict[str, float]
     effects: tuple[ClaimEntry, ...]
     undecided: tuple[Class, ...]
     small: tuple[ClaimEntry, ...]
@@ -514,6 +516,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
+        "wander": {j: x for j, x in zip(joints, diagnosis.wander, strict=False) if x > 0},
         "effects": [_claim(diagnosis, f) for f in (*diagnosis.findings, *diagnosis.late) if f.named],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
         "small": [_claim(diagnosis, f) | {"probability": None} for f in diagnosis.small],

@@ -97,6 +97,8 @@ class Fitter(PlainFitter):
         result = []
         for term in terms:
             wide = self.excess(term)[0]
+            if self.looser is not None:
+                wide *= float(np.min(self.looser[list(term.effect.joints or range(self.data.n))]))
             for span, value in zip(self.spans(term.effect), term.values, strict=True):
                 result.append((*span.of_change(value, wide), span.low, span.high))
         return np.array(result).reshape(-1, 5).T

@@ -6,12 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.estimator.data import Data
+from rrr_oc.calibration.estimator.data import EVERY, Data
 from rrr_oc.calibration.estimator.fitting import Fitted
-from rrr_oc.calibration.samples import noise, residuals
+from rrr_oc.calibration.samples import STRIDE, noise, residuals
 from rrr_oc.diagnosis.knobs import FAR
 from rrr_oc.diagnosis.result import Finding
 from rrr_oc.storage import number
@@ -19,6 +20,9 @@ from rrr_oc.storage import number
 LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer
 COUPLED = 0.1  # the same for a joint that only effects of other joints act on; doubled, fewer joints are marked
 BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges
+PERSISTS = 1.0  # [s] after which a residual that wanders is alike; longer: only slower ones are said to wander
+ALIKE = 0.5  # correlation of a residual that wanders by then; higher: less is said to wander
+ROWS = 3  # of 0.08 s each, of whose mean what wanders is made; more: less of a random walk
 NOTABLE = 1.25  # ratio of mean squares, without over with the effects, from which a recording is named; doubled: fewer
 MOST, NARROW = 0.5, 0.05  # least share of the error in a range, and least excess over its share of time; doubled: fewer ranges
 UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load_torque": "Nm", "time": "s", "payload": "kg", "spring_torque": "Nm"}
@@ -83,15 +87,39 @@ def idle(bench: Data, model: CalibratedModel) -> tuple[tuple[int, float, float],
 
 
 def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:
-    """Standard deviation of each joint's filtered residual over that of filtered sample noise, (n,)."""
-    count = np.maximum(bench.counted.sum(axis=1), 1)
-    return np.sqrt(np.sum(fitted.residual**2, axis=1) / count) / filtered_noise(bench, fitted.model)
+    """Standard deviation of each joint's filtered residual, less what of it wanders, over that of filtered sample noise, (n,)."""
+    return _rms(bench, fitted.residual - wander(bench, fitted)) / filtered_noise(bench, fitted.model)
+
+
+def _rms(bench: Data, x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum((x * bench.counted) ** 2, axis=1) / np.maximum(bench.counted.sum(axis=1), 1))
+
+
+def wander(bench: Data, fitted: Fitted) -> np.ndarray:
+    """What of each joint's residual changes over seconds whatever the arm does, as the zero of a torque sensor, (n, M) [Nm]; 0 of a joint
+    whose residual is not alike after `PERSISTS`.
+
+    It is a mean over `ROWS` rows. What depends on the motion turns with it, and is not alike by then.
+    """
+    result, lag = np.zeros_like(fitted.residual), round(PERSISTS / STRIDE / EVERY)
+    for j, row in enumerate(fitted.residual * bench.counted):
+        parts = np.split(row, bench.edges[1:-1])
+        products = sum(float(part[lag:] @ part[:-lag]) * len(part) / (len(part) - lag) for part in parts if len(part) > 2 * lag)
+        if products > ALIKE * float(row @ row):
+            result[j] = np.concatenate([uniform_filter1d(part, ROWS, mode="nearest") if len(part) else part for part in parts])
+    return result
+
+
+def wander_of(bench: Data, fitted: Fitted) -> tuple[float, ...]:
+    """Rms of what of each joint's residual wanders, 0 where it is not `FAR` above noise, (n,) [Nm]."""
+    size = _rms(bench, wander(bench, fitted))
+    return tuple(np.where(size > FAR * filtered_noise(bench, fitted.model), size, 0.0).tolist())
 
 
 def unexplained(bench: Data, fitted: Fitted) -> np.ndarray:
     """Rms of each joint's filtered residual beyond that of noise, 0 where it is not `FAR` above that, (n,) [Nm]."""
-    left = above_noise(bench, fitted)
-    return np.where(left > FAR, np.sqrt(np.maximum(left**2 - 1, 0)), 0.0) * filtered_noise(bench, fitted.model)
+    left, noisy = _rms(bench, fitted.residual), filtered_noise(bench, fitted.model)
+    return np.where(left > FAR * noisy, np.sqrt(np.maximum(left**2 - noisy**2, 0)), 0.0)
 
 
 def filtered_noise(bench: Data, model: CalibratedModel) -> np.ndarray:

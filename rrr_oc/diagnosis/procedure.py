@@ -26,7 +26,7 @@ from rrr_oc.diagnosis.findings import found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import errors_of, joints_made_worse, nrmse, repeated
 from rrr_oc.diagnosis.knobs import CLAIM, FAR, MATTERS
-from rrr_oc.diagnosis.mismatch import above_noise, idle, mismatch, unexplained
+from rrr_oc.diagnosis.mismatch import above_noise, idle, mismatch, unexplained, wander_of
 from rrr_oc.diagnosis.result import Diagnosis, Event, Finding, Fold, Possible, Suggestion
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.stages import SHARES, Stages
@@ -112,6 +112,7 @@ def _made(priors: Priors, stages: Stages) -> Diagnosis:
         suggestions=tuple(suggestions),
         folds=tuple(folds),
         above_noise=tuple(left.tolist()),
+        wander=wander_of(fitter.data, closest),
         idle=idle(fitter.data, final.model),
         priors=priors.file,
         failed=failed,

@@ -201,7 +201,9 @@ class Diagnosis:
         mismatch: One entry per joint, as in the file.
         suggestions: Recordings that would separate effects which these do not separate.
         folds: The held-out fits behind `held_out`.
-        above_noise: Residual of the final model over noise, (n,).
+        above_noise: Residual of the final model, less what of it wanders, over noise, (n,).
+        wander: Rms of what of each joint's residual changes over seconds whatever the arm does, where that is far above noise, else 0, (n,)
+            [Nm].
         idle: Joints that never move enough to tell anything, with the mean torque that the model leaves there and its spread [Nm].
         priors: File from which priors were read; None for what the effects declare.
         failed: Optional steps that failed, and why.
@@ -226,6 +228,7 @@ class Diagnosis:
     suggestions: tuple[Suggestion, ...] = ()
     folds: tuple[Fold, ...] = ()
     above_noise: tuple[float, ...] = ()
+    wander: tuple[float, ...] = ()
     idle: tuple[tuple[int, float, float], ...] = ()
     priors: str | None = None
     failed: Mapping[str, str] = field(default_factory=dict)

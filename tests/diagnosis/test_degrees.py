@@ -15,6 +15,7 @@ from rrr_oc.diagnosis.claims.dependence import Shape, reached
 from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, Regression, features, judged, probability_of, regression
 from rrr_oc.diagnosis.diagnosis_file import Unexplained, to_json
 from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.report.diagnosis_words import wanders
 
 
 def bump(q):
@@ -156,3 +157,19 @@ def test_a_probability_is_that_of_the_regression_and_never_certain():
     assert LEAST <= sure <= MOST
     assert sure == pytest.approx(1 / (1 + np.exp(-quantities() @ np.array(law))))
     assert probability_of(quantities(log_odds=1e9), law) <= MOST
+
+
+def test_a_zero_that_wanders_is_told_and_no_law_is_found_in_it(planar):
+    """The torque's zero takes a random walk, of 3 % of the torque's spread in a second."""
+    plant, rng = planar(2), np.random.default_rng(9)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.005) for i in range(3)]
+    walks = [np.cumsum(rng.standard_normal(r.tau.shape), axis=1) * 0.1 * 0.03 for r in made]
+    sizes = np.mean([r.tau.std(axis=1, keepdims=True) for r in made], axis=0)
+    found = diagnose(as_set(plant, [replace(r, tau=r.tau + sizes * walk) for r, walk in zip(made, walks, strict=True)]))
+    assert (found.findings, found.undecided, found.links) == ((), (), ())
+    assert found.verdict == "nothing_missing"
+    assert all(0.01 < x / size < 0.3 for x, size in zip(found.wander, sizes[:, 0], strict=True))
+    content = to_json(found) | {"bootstrap": {}}
+    assert content["wander"] == dict(zip(("j1", "j2"), found.wander, strict=True))
+    (said,) = wanders(content)
+    assert "as the zero of a torque sensor that wanders" in said

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from validation.chains.chain import FINE, Chain, measure
@@ -175,3 +176,18 @@ def test_scores_of_links_and_events(tmp_path):
     ]
     counts = score(TOLD | {"events": told}, one)
     assert (counts["pushes"], counts["pushes/told"], counts["events"], counts["events/right"]) == (1, 1, 2, 1)
+
+
+def test_a_wrong_link_is_measured_by_the_usual_errors_that_feel_alike(tmp_path):
+    """Of links whose masses are all 3 % more than in the file, which are as many usual errors as there are links."""
+    one = sealed(small("held_arm", "clean", tmp_path, seconds=15.0))
+    data = one.model.createData()
+    one.x["links"] = (
+        0.03 * np.array([pin.rnea(one.model, data, *row) for row in zip(*(one.x[k].T for k in "qva"), strict=True)]).T
+    )
+    once = one.usual_errors()
+    assert 0.3 < once <= np.sqrt(one.model.nv) + 1e-6
+    one.x["links"] *= 4
+    assert one.usual_errors() == pytest.approx(4 * once)
+    one.x["links"] *= 0
+    assert one.usual_errors() == 0

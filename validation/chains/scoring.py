@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """What a diagnosis says of a case, by degree: that something is missing, where, on what it depends, which law; and what it says wrongly.
 
 It reads the content of `diagnosis.json` and the sealed truth, and knows nothing else of the tool. What the tool calls equal to an entry
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from validation.chains.columns import explained, flexible, law_columns, plain_columns
 
@@ -17,6 +19,16 @@ FELT = 0.02  # share of a joint's torque from which something is missing there
 HALF, EQUAL, SAME = 0.5, 0.8, 0.9  # shares of what is missing that variables must explain; a law and a link to count as equal
 SURE = 3.0  # usual errors of a file that a link is off by, to be off even where none was made wrong
 SAMPLES = 3000  # of a case, that are looked at
+USUAL = (
+    0.03,
+    0.01,
+    0.01,
+    0.01,
+    0.05,
+    0.05,
+    0.05,
+)  # errors of a file: share of a mass, centre [m], shares of the moments about it
+FEW, ALIKE = 300, 0.95  # samples at which links are compared, and share of a torque that such errors must explain
 BODIES = ("payload_mass", "payload_com", "link_inertial")
 VARIABLES = {  # of laws, at their joint
     "stribeck": ("dq",), "quadratic_drag": ("dq",), "viscous_asymmetry": ("dq",), "coulomb_asymmetry": ("sign(dq)",),
@@ -31,8 +43,8 @@ Entry = Mapping[str, Any]
 class Sealed:
     """The truth of a case, with what is missing at its rows: `x` by name, (n, K), all recordings one after the other; `x["t"]` (K,)."""
 
-    def __init__(self, truth: Mapping[str, Any], x: dict[str, np.ndarray]):
-        self.truth, self.x = truth, x
+    def __init__(self, truth: Mapping[str, Any], x: dict[str, np.ndarray], model: pin.Model):
+        self.truth, self.x, self.model = truth, x, model
         self.joints, self.links = list(truth["joints"]), list(truth["links"])
         self.beside = plain_columns(x["v"], x["a"])
         every = range(len(self.joints))
@@ -49,7 +61,8 @@ class Sealed:
                 if not name.startswith("test/"):
                     parts.setdefault(what, []).append(rows)
         every = max(1, sum(rows.shape[-1] for rows in parts["q"]) // SAMPLES)
-        return cls(truth, {what: np.concatenate(rows, axis=-1)[..., ::every].astype(float) for what, rows in parts.items()})
+        x = {what: np.concatenate(rows, axis=-1)[..., ::every].astype(float) for what, rows in parts.items()}
+        return cls(truth, x, pin.buildModelFromUrdf(str(folder / "true.urdf")))
 
     def share_left(self, torque: np.ndarray, j: int) -> float:
         """What plain friction and rotor leave of a torque (n, K) at a joint, as a share of the joint's torque."""
@@ -88,12 +101,50 @@ class Sealed:
         names = [joint] if isinstance(joint, str) else joint or []
         return [self.joints.index(name) for name in names if name in self.joints]
 
+    def usual_errors(self) -> float:
+        """How many usual errors of a file feel as the wrong link, all together: the length of the shortest such vector of errors.
+
+        Where that is few, torques do not tell the link from those of a file as good as usual.
+        """
+        some = slice(None, None, max(1, self.x["t"].size // FEW))
+        q, v, a, y = (self.x[key][:, some] for key in ("q", "v", "a", "links"))
+        data, beside = self.model.createData(), plain_columns(v, a)
+        each = [pin.computeJointTorqueRegressor(self.model, data, *row) for row in zip(q.T, v.T, a.T, strict=True)]
+        changes = np.zeros((10 * len(q), len(USUAL) * len(q)))
+        for i, body in enumerate(list(self.model.inertias)[1:]):
+            changes[10 * i : 10 * i + 10, len(USUAL) * i : len(USUAL) * (i + 1)] = usual_changes(body)
+        columns = np.concatenate([np.array(each).transpose(1, 0, 2) @ changes, y[:, :, None]], axis=2)  # (n, K, 7 n + 1)
+        plain = [beside[j, :, 3 * j : 3 * j + 3] for j in range(len(q))]
+        left = [
+            (own - b @ np.linalg.lstsq(b, own, rcond=None)[0]) / np.std(tau)
+            for own, b, tau in zip(columns, plain, self.x["tau"], strict=True)
+        ]
+        whole = np.concatenate(left)
+        u, s, vt = np.linalg.svd(whole[:, :-1], full_matrices=False)
+        along = u.T @ whole[:, -1]
+        explained_by = np.cumsum(along**2) / max(float(whole[:, -1] @ whole[:, -1]), 1e-300)
+        count = int(np.searchsorted(explained_by, ALIKE)) + 1
+        return float(np.linalg.norm((along[:count] / s[:count]) @ vt[:count]))
+
     def off(self, link: str) -> bool:
         """Whether a link is not as its file has it, by more than usual, or feels as one that is not."""
         true, urdf = (self.truth["links"][link][which] for which in ("true", "urdf"))
         centres = [np.array(body["first_moment"]) / body["mass"] for body in (true, urdf)]
         far = abs(np.log(true["mass"] / urdf["mass"])) > SURE * 0.03 or np.abs(centres[0] - centres[1]).max() > SURE * 0.01
         return bool(far) or (bool(self.truth["off"]) and self.truth["off"]["felt_as"][link] >= SAME)
+
+
+def usual_changes(body: pin.Inertia) -> np.ndarray:
+    """Change of a body's ten dynamic parameters by each of the `USUAL` errors, (10, 7)."""
+    now, result = body.toDynamicParameters(), [USUAL[0] * body.toDynamicParameters()]
+    for k in range(3):
+        result.append(
+            pin.Inertia(body.mass, body.lever + USUAL[1 + k] * np.eye(3)[k], body.inertia).toDynamicParameters() - now
+        )
+    for k in range(3):
+        more = USUAL[4 + k] * body.inertia[k, k] * np.diag(np.eye(3)[k])
+        result.append(pin.Inertia(body.mass, body.lever, body.inertia + more).toDynamicParameters() - now)
+    return np.array(result).T
 
 
 def is_part_of(entry: Entry, effect: Entry) -> bool:
@@ -129,6 +180,8 @@ def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:
         )
         as_effect = any(e["effect"] in BODIES and sealed.right(e) for e in [*effects, *classes])
         result.update({"links off": 1, "links off/told": int(here), "links off/told as an effect": int(as_effect and not here)})
+        beyond = int(sealed.usual_errors() > SURE)
+        result.update({"links off beyond usual": beyond, "links off beyond usual/told": beyond * int(here or as_effect)})
     if truth["effects"]:
         result.update(degrees([*said, *torques], classes, sealed))
     result.update(events(found, truth))

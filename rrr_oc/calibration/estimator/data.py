@@ -9,7 +9,7 @@ from scipy.linalg import toeplitz
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY, PAST
 from rrr_oc.calibration.regression import Rows, filtered, filtered_residuals, rows
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.effects import Effect, Signals
@@ -279,8 +279,15 @@ class Noise:
     turning: float
 
     @classmethod
-    def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray, taken: np.ndarray | None = None) -> "Noise":
-        """Estimated by least squares from a residual (M,), with the sum of each filter's weights at most exp(−Δt / `MEMORY`).
+    def of(
+        cls,
+        residual: np.ndarray,
+        place: np.ndarray,
+        turning: np.ndarray,
+        taken: np.ndarray | None = None,
+        memory: float = MEMORY,
+    ) -> "Noise":
+        """Estimated by least squares from a residual (M,), with the sum of each filter's weights at most exp(−Δt / `memory`).
 
         An offset passes a filter by 1 − that sum, so that a sum near 1 would hide it. Least squares over the rows with a full past
         uses each stretch between gaps as it is; Yule and Walker's equations take its ends for 0, which biases short stretches, and
@@ -290,12 +297,13 @@ class Noise:
             place: Number of rows without a gap before each row; −1 where a row does not count, (M,).
             turning: Where the joint turns, (M,).
             taken: Columns whose products are the covariance of what parameters have taken up of the noise, (M, r); none by default.
+            memory: Longest time over which it may stay alike [s].
         """
         order = order_of(float(np.count_nonzero(place >= 0)))
         lags = np.zeros((len(residual), order))
         for k in range(order):
             lags[k + 1 :, k] = residual[: -k - 1]
-        calm, most = ~turning, float(np.exp(-STRIDE * EVERY / MEMORY))
+        calm, most = ~turning, float(np.exp(-STRIDE * EVERY / memory))
         lost = np.zeros(order + 1) if taken is None else autocovariance(taken, place, order)
         filters, spreads, factor, covariance = [], [], 1.0, toeplitz(lost)
         for k in range(order + 1):
@@ -336,8 +344,11 @@ class Noise:
 
 
 def low_frequency(residual: np.ndarray, place: np.ndarray, turning: np.ndarray, taken: np.ndarray | None = None) -> float:
-    """Standard deviation of white noise that is as strong at frequency 0 as a residual; arguments as of `Noise.of`."""
-    noise = Noise.of(residual, place, turning, taken)
+    """Standard deviation of white noise that is as strong in slow motion as a residual, below 1/(2 π `PAST`); arguments as of `Noise.of`.
+
+    What is slower still moves no parameter of what turns back and forth.
+    """
+    noise = Noise.of(residual, place, turning, taken, PAST)
     columns = residual[:, None] if taken is None else np.column_stack([residual, taken])
     square = np.sum((noise.whitening(place, turning)[0] @ columns) ** 2) / max(np.count_nonzero(place >= 0), 1)
     return max(float(np.sqrt(square)) / (1 - float(noise.filters[-1].sum())), 1e-9)
@@ -355,7 +366,7 @@ def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndar
 
 def order_of(count: float) -> int:
     """Number of rows before one on which its noise is taken to depend, where so many rows count."""
-    return int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
+    return int(np.clip(count // ROWS_PER_LAG, 0, round(PAST / STRIDE / EVERY)))
 
 
 def _bounded(matrix: np.ndarray, right: np.ndarray, most: float) -> np.ndarray:

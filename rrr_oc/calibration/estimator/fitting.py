@@ -91,12 +91,14 @@ class PlainFitter:
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
         farthest: Declared standard deviations by which a link of a URDF may be off at most.
         holds_delays: Whether delays of the torque stay as they are.
+        looser: Of each joint, how many times wider the priors of effects on it are, (n,); as declared by default.
     """
 
     data: Data
     plain_std: np.ndarray
     farthest: float = field(default=np.inf, kw_only=True)
     holds_delays: bool = field(default=False, kw_only=True)
+    looser: np.ndarray | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -248,12 +250,12 @@ class PlainFitter:
 
         Where a law is missing, noise and discrepancy take up what other parameters would explain in part, and the likeliest parameters
         are not those that predict best. Those of least squares estimate the model of the least distance from what is true (L2
-        calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
+        calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum in slow motion of what is left, as friction and inertia
         are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
         near = self._least_squares(fitted)
         cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
-        found = replace(self, data=cleared, holds_delays=True)._least_squares(near)
+        found = replace(self, data=cleared, holds_delays=True)._least_squares(near, fitted)
         of_noise = bent(found.posterior, fitted.posterior.hyper.discrepancy)
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
         whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
@@ -261,12 +263,17 @@ class PlainFitter:
         std[delays_of(near)] = np.sqrt(variances_of_delays(near))  # rows without the time of reversals tell less of delays
         return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=(std, number))
 
-    def _least_squares(self, fitted: Fitted) -> Fitted:
-        """The fit whose noise is white, as strong as that of a fit at frequency 0, without a discrepancy."""
-        last = np.inf
+    def _least_squares(self, fitted: Fitted, likeliest: Fitted | None = None) -> Fitted:
+        """The fit whose noise is white, as strong as that of a fit in slow motion, without a discrepancy.
+
+        That noise is stronger than what decides of fast laws. Effects are believed as much beside it as in the likeliest fit, which is
+        the first one by default.
+        """
+        last, sigma = np.inf, (likeliest or fitted).posterior.hyper.sigma
         for _ in range(CLOSER):
             start = NoiseStart.of(self.data, at_low_frequency(self.data, fitted))
-            fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
+            looser = np.maximum(start.hyper.sigma / sigma, 1.0)
+            fitted = replace(self, looser=looser).fit(fitted.model, fitted.links, start, fixed=True)
             if abs(fitted.log_evidence - last) < ALIKE:
                 break
             last = fitted.log_evidence
@@ -352,7 +359,7 @@ def with_form(terms: Sequence[Term], i: int, form: Effect, width: float) -> tupl
 
 
 def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
-    """Hyperparameters of white noise that is as strong at frequency 0 as what a fit leaves of the torques, and of no discrepancy.
+    """Hyperparameters of white noise that is as strong in slow motion as what a fit leaves of the torques, and of no discrepancy.
 
     What the parameters have taken up of the noise is added to what is left, as the posterior has it.
     """

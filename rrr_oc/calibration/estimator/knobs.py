@@ -1,7 +1,9 @@
 """The numbers, set by hand, that decide what an estimate takes for noise, for an imperfect law or URDF, and for told apart."""
 
-# Time over which a joint's noise stays alike [s]; doubled, slow disturbances are rather taken for noise.
-MEMORY = 0.5
+# Time before a row on which its noise is taken to depend [s]; doubled, the same from twice as many numbers.
+PAST = 0.5
+# Longest time over which a joint's noise may stay alike, as of a sensor whose zero wanders [s]; shorter, laws are found in such wander.
+MEMORY = 20.0
 # Share of a joint's torque by which the best law may be wrong; doubled, small effects are claimed later.
 DISCREPANCY = 0.003
 # Share of a joint's dry friction by which the best law of friction may be wrong; doubled, details of friction are claimed later.

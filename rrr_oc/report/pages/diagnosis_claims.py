@@ -142,7 +142,12 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
     """What stays unexplained, in at least one sentence."""
     result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
     over = say.left_over(found)  # of which the verdict speaks where nothing is claimed
-    result += [*say.events(found), *say.idle(found), *([over] if over and (say.missing(found) or found["unexplained"]) else [])]
+    result += [
+        *say.events(found),
+        *say.wanders(found),
+        *say.idle(found),
+        *([over] if over and (say.missing(found) or found["unexplained"]) else []),
+    ]
     silent = {*say.worthless_joints(found), *(e["joint"] for e in found.get("idle", ()))}
     left = {
         joint: b["after"]["value"]
