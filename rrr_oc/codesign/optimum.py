@@ -98,7 +98,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         keep = np.r_[np.flatnonzero(np.tile(np.arange(points) < points - 1, t.shape[0])), t.size - 1]
         ddq = solution.rates(i, x, u)[0][m : 2 * m]
         x, u, ddq = (v.reshape(len(v), -1)[:, keep] for v in (x, u, ddq))
-        q, dq, twist = x[:m], x[m : 2 * m], design.series.twist(x, ddq, u, solution.parameters)
+        q, dq, twist = x[:m], x[m : 2 * m], design.series.twist(x, ddq, design.accelerations(x, u), solution.parameters)
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, design.engaged(i, solution.parameters), widths))
         n = len(keep)
         parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload), twist))

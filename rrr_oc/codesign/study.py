@@ -650,6 +650,9 @@ def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
     limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
     limits += "".join(f"; springs' {key} {value:g}" for key, value in task.spring_limits.of_design.items())
+    limits += "".join(f"; {task.joints[j]}: {np.degrees(task.jerk[j]):.0f} °/s³" for j in task.jerky)
+    limits += f"; above {task.around.floor:g} m" * bool(np.isfinite(task.around.floor))
+    limits += "".join(f"; outside of {one.name}" for one in task.around.keep_outs)
     return UserError(
         f"no motion of task {task.name!r} was found within its limits ({limits}; "
         f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
@@ -757,12 +760,14 @@ def _moved(
     """
     solution = optimum.solution
     motion, cases = sample_motion(held, solution), len(held.scenarios)
+    *links, tool = held.task.heights(motion.q)
     found = describe(held, motion.metrics()) | {
         "cost": solution.cost,
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
         "start": dict(zip(held.task.joints, motion.q[:, 0].tolist(), strict=True)),
         "release": dict(zip(held.task.joints, motion.q[:, motion.segments[0].stop - 1].tolist(), strict=True)),
-        "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
+        "lowest_tool_m": float(tool.min()),
+        "lowest_link_m": min(float(heights.min()) for heights in (*links, tool)),
         "turns": turns(own, motion, solution.parameters),
         "idle": idle_springs(own, motion, solution.parameters),
         "beyond": beyond_known(own, motion, solution.parameters),

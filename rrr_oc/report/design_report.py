@@ -185,8 +185,7 @@ QUALITY = {
     "engine": "re-simulated in MuJoCo with feed-forward and P-controllers, load torque read from the engine.",
     "energy balance": "what it misses in MuJoCo, relative.",
     "mesh error": "between the nodes, relative.",
-    "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for limits of range, "
-    "speed and acceleration.",
+    "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for all limits.",
     "smoothing": "exact, non-smooth springs on the same motion against the smoothed ones.",
     "2nd order": "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.",
 }  # columns on a motion

@@ -17,6 +17,7 @@ from rrr_oc.report.tables import NONE, spring_unit
 MANY = 3.0  # times the planned E1 from which it is told as that
 AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
 OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
+UNDER = 0.005  # [m] below the base's plane from which a reader is warned; doubled, motions a little deeper are not told
 FAR = 0.1  # [1] of E1 by which the calibrated twin may differ from the plan before a reader is warned
 FOLLOWED = 0.05  # [rad] of tracking error in the twin above which a reader is warned
 UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
@@ -66,7 +67,27 @@ def minimised(study: DesignFile) -> list[str]:
         said.append(f"The cost of a task is that of the worst case of {listed(what)}, with the same motion in all cases.")
     if unsure.over != "calibrated":
         said.append(f"Minimised is its {unsure.over} over the models that the recordings allow, with the same motion in all.")
-    return [*said, *ends_in_words(study)]
+    return [*said, *ends_in_words(study), *rules(study)]
+
+
+def rules(study: DesignFile) -> list[str]:
+    """What the motions may do, a sentence each: floor, keep-outs, and whether accelerations may jump."""
+    said, own = list[str](), " as in the paper" * study.paper
+    floors = {task.floor_m for task in study.tasks}
+    if floors == {None}:
+        said.append(f"No floor keeps links and tool above the base's plane{own}.")
+    elif None not in floors:
+        heights = ", ".join(f"{floor:g} m" for floor in sorted(floor for floor in floors if floor is not None))
+        said.append(f"Links and tool stay above a floor at {heights}.")
+    names = list(dict.fromkeys(one.name for task in study.tasks for one in task.keep_outs))
+    if names:
+        said.append(f"They keep out of {listed(names)}.")
+    jerks = [limit.jerk_rad_per_s3 for task in study.tasks for limit in task.limits.values()]
+    if jerks and None not in jerks:
+        said.append("The jerk is limited, so that accelerations do not jump, and are 0 where the arm rests between the phases.")
+    elif jerks:
+        said.append(f"Accelerations may jump, also where a phase begins and ends{own}.")
+    return said
 
 
 def ends_in_words(study: DesignFile) -> list[str]:
@@ -318,10 +339,15 @@ def of_motion(c: Configuration, m: Moved, quantity: Quantity) -> list[str]:
         f"MuJoCo, which simulates the motion with the same springs and P-controllers, finds an E1 of {m.mujoco.E1:.4f} N²m²s, "
         f"and follows the motion to {m.mujoco.tracking_error_rad:.1e} rad.",
         *bounds_in_words(c),
-        f"The lowest point of the tool is {abs(m.lowest_tool_m):.3f} m {'below' if m.lowest_tool_m < 0 else 'above'} the base.",
+        f"The lowest point of the tool is {_height(m.lowest_tool_m)}"
+        + (f", that of the links {_height(m.lowest_link_m)}." if m.lowest_link_m is not None else "."),
         _origin(c),
         f"One more kg of payload changes the cost by {100 * k.sensitivity:+.1f} % of {quantity.name}.",
     ]
+
+
+def _height(metres: float) -> str:
+    return f"{abs(metres):.3f} m {'below' if metres < 0 else 'above'} the base"
 
 
 def residual(m: Moved) -> float:
@@ -481,6 +507,7 @@ def cautions(study: DesignFile) -> list[str]:
         said.append(
             f"The search was small, with {' and '.join(fewer)}; a longer one may find designs that need some per cent less."
         )
+    said += _below(study)
     best = best_of(found)
     if best is None or found[best].catalogue is not None or found[best].choice is not None or not study.single:
         return said
@@ -490,6 +517,26 @@ def cautions(study: DesignFile) -> list[str]:
         but = f", though none below {k.least:.4g} N²m²s" if k.least else ""
         said.append(f"{best}: {which}; more starts, or another seed, may find a better one{but}.")
     return said
+
+
+def _below(study: DesignFile) -> list[str]:
+    """That motions without a floor pass below the base's plane, and how far the deepest does."""
+    free = {task.name for task in study.tasks if task.floor_m is None}
+    depths = [
+        (m.lowest_link_m, name)
+        for name, c in study.configurations.items()
+        for task, m in c.tasks.items()
+        if task in free and m.lowest_link_m is not None and m.lowest_link_m < -UNDER
+    ]
+    if not depths:
+        return []
+    depth, name = min(depths)
+    names = listed(list(dict.fromkeys(name for _, name in depths)))
+    passes = "motions of" if len(depths) > 1 else "motion of"
+    return [
+        f"The {passes} {names} go{'es' * (len(depths) == 1)} below the base's plane, by up to {-depth:.2f} m ({name}); floor_m in the task "
+        "keeps links and tool above it."
+    ]
 
 
 def _of_configuration(c: Configuration) -> list[str]:

@@ -82,8 +82,8 @@ def summary(study: Study, found: Mapping[str, Configuration], wall_s: float, com
 
 
 def _asked(task: Task, weight: float) -> TaskAsked:
-    rows = zip(task.joints, task.lower, task.upper, task.speed, task.acceleration, task.torque, strict=True)
-    keys = ("range_rad", "speed_rad_per_s", "acceleration_rad_per_s2", "torque_Nm")
+    rows = zip(task.joints, task.lower, task.upper, task.speed, task.acceleration, task.torque, task.jerk, strict=True)
+    keys = ("range_rad", "speed_rad_per_s", "acceleration_rad_per_s2", "torque_Nm", "jerk_rad_per_s3")
     asked = {
         "name": task.name,
         "weight": weight,
@@ -92,6 +92,9 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "cycle_s": task.cycle,
         "speeds": dict(zip(("start", "release"), task.speeds, strict=True)),
         "spring_limits": task.spring_limits,
+        "floor_m": task.around.floor,
+        "keep_outs": task.around.keep_outs,
+        "link_radius_m": task.around.link_radius,
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }
     ends = {

@@ -114,7 +114,7 @@ def test_paper_preset_is_what_facts_say():
     np.testing.assert_array_equal(task.tool.position, [0.3, 0, 0])
     np.testing.assert_allclose(task.robot.inertial[0], [4.480, 4.045, 2.181])
     assert (task.payloads, task.duration, task.joints) == ((5.0, 0.0), (1.0, 5.0), ("joint2", "joint3"))
-    assert task.floor == -np.inf
+    assert (task.around.floor, task.around.keep_outs, task.jerky) == (-np.inf, (), [])
     np.testing.assert_array_equal(task.ends(0), [task.start, task.release])
     np.testing.assert_array_equal(task.ends(1), [task.release, task.start])
     np.testing.assert_array_equal(task.full(np.array([[1.0, 2], [3, 4]])), [[0, 0], [1, 2], [3, 4]])

@@ -1,0 +1,44 @@
+"""What a report says of what the motions may do, and of motions below the base's plane."""
+
+import designs
+from msgspec.structs import replace
+
+from rrr_oc.codesign.clearance import Capsule, KeepOut
+from rrr_oc.codesign.design_file import DesignFile, Limits
+from rrr_oc.report import design_words as say
+
+POST = KeepOut("post", capsule=Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.1))
+JUMPING = Limits((0.0, 1.0), 1.0, 2.0, None)
+
+
+def study(lowest: float, **changes) -> DesignFile:
+    """Of one task with these keys, whose links come down to this height [m]."""
+    made = designs.summary(PEA=designs.design(1.0, {"t": designs.moved(1.0, lowest_link_m=lowest)}))
+    return replace(made, tasks=(replace(made.tasks[0], **changes),))
+
+
+def test_rules_of_a_task_without_any():
+    said = say.rules(study(0.1, limits={"b": JUMPING}))
+    assert said == [
+        "No floor keeps links and tool above the base's plane.",
+        "Accelerations may jump, also where a phase begins and ends.",
+    ]
+    paper = say.rules(replace(study(0.1, limits={"b": JUMPING}), paper=True))
+    assert all(sentence.endswith(" as in the paper.") for sentence in paper)
+
+
+def test_rules_of_a_task_with_floor_keep_out_and_jerk():
+    limits = {"b": replace(JUMPING, jerk_rad_per_s3=10.0)}
+    floor, post, jerk = say.rules(study(0.1, floor_m=0.0, keep_outs=(POST,), limits=limits))
+    assert floor == "Links and tool stay above a floor at 0 m."
+    assert post == "They keep out of post."
+    assert jerk.startswith("The jerk is limited")
+
+
+def test_a_motion_below_the_base_is_told_where_no_floor_was_given():
+    (told,) = [sentence for sentence in say.cautions(study(-0.284)) if "below" in sentence]
+    assert told == (
+        "The motion of PEA goes below the base's plane, by up to 0.28 m (PEA); floor_m in the task keeps links and tool above it."
+    )
+    for other in (study(-0.284, floor_m=-0.3), study(0.01)):
+        assert not [sentence for sentence in say.cautions(other) if "below" in sentence]
