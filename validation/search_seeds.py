@@ -60,7 +60,10 @@ def main(
     tasks: Annotated[list[str], typer.Argument(help="bundled tasks or task files")],
     out: Annotated[Path, typer.Option(help="folder of the results")],
     seeds: Annotated[int, typer.Option(min=1, help="number of seeds, from 0")] = 10,
-    starts: Annotated[int, typer.Option(min=1, help="starts of a search")] = 20,
+    starts: Annotated[int, typer.Option(min=1, help="starts of a search")] = SearchOptions.starts,
+    motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase")] = SearchOptions.motions,
+    springs: Annotated[int, typer.Option(min=1, help="springs tried with some of these motions")] = SearchOptions.springs,
+    rounds: Annotated[int, typer.Option(min=1, help="times that motions are searched")] = SearchOptions.rounds,
     configurations: Annotated[str, typer.Option(help="comma-separated; default: all that a task offers")] = "",
     tolerance: Annotated[float, typer.Option(min=1e-8, max=1e-2, help="mesh tolerance, relative")] = 1e-4,
 ) -> None:
@@ -71,7 +74,9 @@ def main(
     results: dict[tuple[str, str], list[dict[str, float]]] = {}
     for task, name, seed in track(cases, "searches"):
         file = out / f"{load_task(task).name}_{name}_{seed}.json"
-        options = SearchOptions(starts=starts, seed=seed, refinement=Refinement(tolerance))
+        options = SearchOptions(
+            starts, seed=seed, motions=motions, springs=springs, rounds=rounds, refinement=Refinement(tolerance)
+        )
         made = Made([file], [task, name, asdict(options)], [Path(__file__), Path(task)])
         made.once(partial(write_searched, file, task, name, options))
         results.setdefault((task, name), []).append(json.loads(file.read_text()))

@@ -42,10 +42,13 @@ COLUMNS = ("key", "type", "unit", "default", "allowed", "meaning")
 ENDINGS = {
     "_A_s2_per_rad2": "A s²/rad²",
     "_deg_per_s2": "°/s²",
+    "_deg_per_s3": "°/s³",
     "_A_s2_per_rad": "A s²/rad",
     "_A_s_per_rad": "A s/rad",
     "_Nm_per_rad3": "Nm/rad³",
+    "_Nm_s_per_rad": "Nm s/rad",
     "_Nm_per_rad": "Nm/rad",
+    "_kg_m2": "kg m²",
     "_deg_per_s": "°/s",
     "_N_per_m": "N/m",
     "_Nm_per_A": "Nm/A",

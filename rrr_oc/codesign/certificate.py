@@ -9,7 +9,8 @@ from scipy.integrate import solve_ivp
 
 from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
 from rrr_oc.codesign.bounds.over_motions import task_bound
-from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
+from rrr_oc.codesign.clearance import FLOOR
+from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign, torque_path
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
@@ -20,7 +21,13 @@ _SAVING = 1e-6  # [1] a bound that saves no more of the cost by one unit is not 
 _TOUCHED = 1e-4
 PIECES = 8  # of an interval for the exact cost, whose rate has kinks; doubled, they are met four times as well
 _Bound = tuple[str, float, str, float]  # name, value [unit], unit, decrease of the cost for moving it outward by one unit
-_DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
+_DESIGNER = {
+    "rad": (180 / np.pi, "°"),
+    "rad/s": (180 / np.pi, "°/s"),
+    "rad/s²": (180 / np.pi, "°/s²"),
+    "rad/s³": (180 / np.pi, "°/s³"),
+    "m": (1e3, "mm"),
+}
 
 
 class ActiveBound(Struct, frozen=True):
@@ -180,23 +187,30 @@ def _hardware_bounds(design: CoDesign, kkt: Kkt) -> Iterator[_Bound]:
 
 
 def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
-    """Limits of range, speed and acceleration: the multipliers of all instants together."""
+    """Limits of range, speed, acceleration and jerk: the multipliers of all instants together."""
     t, task = solution.transcription, design.task
     fixed = np.flatnonzero(t.bounds[0] == t.bounds[1])
+
+    def inner(state: int) -> list[np.ndarray]:
+        """Indices of a state's variables at all nodes and stages of each phase but those that the task fixes."""
+        return [np.setdiff1d(np.r_[b.nodes[state], b.stage_x[state].ravel()], fixed) for b in t.blocks]
+
     force = solution.lam_w / t.scale * solution.problem.cost_scale
     for j, joint in enumerate(task.joints):
         for kind, unit, row, limits in (
             ("range", "rad", j, (task.lower[j], task.upper[j])),
             ("speed", "rad/s", design.series.speed_state(j), (-task.speed[j], task.speed[j])),
         ):
-            # a state's variables at all nodes and stages but those that the task fixes
-            inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], fixed) for b in t.blocks]
             for side, sign, value in zip(("lower", "upper"), (-1, 1), limits, strict=True):
-                yield f"the {side} {kind} limit of {joint}", value, unit, _positive(sign * force, inner)
-        controls = [np.unique(b.controls[j]) for b in t.blocks]
-        if np.isfinite(task.acceleration[j]):
-            total = _positive(-force, controls) + _positive(force, controls)
-            yield f"the acceleration limit of {joint}", task.acceleration[j], "rad/s²", total
+                yield f"the {side} {kind} limit of {joint}", value, unit, _positive(sign * force, inner(row))
+        controls, (is_state, row) = [np.unique(b.controls[j]) for b in t.blocks], design.acceleration(j)
+        accelerations = inner(row) if is_state else controls
+        limits = [("acceleration", task.acceleration[j], "rad/s²", accelerations)]
+        limits += [("jerk", task.jerk[j], "rad/s³", controls)] * is_state
+        for kind, limit, unit, indices in limits:
+            if np.isfinite(limit):
+                total = _positive(-force, indices) + _positive(force, indices)
+                yield f"the {kind} limit of {joint}", limit, unit, total
 
 
 def _positive(force: np.ndarray, indices: list[np.ndarray]) -> float:
@@ -205,7 +219,7 @@ def _positive(force: np.ndarray, indices: list[np.ndarray]) -> float:
 
 
 def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
-    """Limits of torque and of springs, and the floor, rows of the problem: the multipliers of all instants together."""
+    """Limits of torque and of springs, the floor and keep-outs, rows of the problem: the multipliers of all instants together."""
     task, force = design.task, dict[str, float]()
     for name, rows in solution.transcription.path_rows:
         force[name] = force.get(name, 0.0) + np.abs(solution.lam_g[rows]).sum() * solution.problem.cost_scale
@@ -213,10 +227,12 @@ def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
     limits |= {part.what: (part.limit, part.unit) for part in design.limited_parts}
     for name, total in force.items():
         if name == FLOOR:
-            yield "the floor under the tool", task.floor, "m", total
-        else:
+            yield FLOOR, task.around.floor, "m", total
+        elif name in limits:
             limit, unit = limits[name]
             yield f"the limit of the {name}", limit, unit, total / limit  # the row is what is limited over its limit, ≤ 1
+        else:  # a keep-out, from whose surface every row has its own distance
+            yield f"the surface of {name}", 0.0, "m", total
 
 
 def exact_cost(design: CoDesign, solution: Solution) -> float:

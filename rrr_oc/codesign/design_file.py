@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Struct
 
 from rrr_oc.codesign.certificate import Certificate
+from rrr_oc.codesign.clearance import KeepOut
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.purchasable import Coverage
@@ -31,6 +32,18 @@ class Metrics(Struct, frozen=True, forbid_unknown_fields=True):
     E1_joint: dict[str, float]
     rms: dict[str, float]
     peak: dict[str, float]
+
+
+class OfMotors(Metrics, frozen=True):
+    """Metrics of the motor torque that a motion needs of given motors and gears, at the joint's output; its E1 is the motor torque squared.
+
+    Attributes:
+        work_J: Work that the motors do; what flows back does not count.
+        electrical_J: Electrical energy (Eq. 11); null where a winding resistance is unknown.
+    """
+
+    work_J: float
+    electrical_J: float | None = None
 
 
 class Tracking(Metrics, frozen=True):
@@ -208,6 +221,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
         start: Angles by joint where the arm takes the payload [rad].
         release: Angles by joint where it lets it go [rad].
         lowest_tool_m: Height of the lowest point of the tool above the base.
+        motors: What the motors do; null where they are not known.
+        lowest_link_m: The same of the lines from joint to joint; null where a file does not say it.
         turns: Least and greatest deflection of each helical spring in the motion [rad], by label; of one across two joints about the
             first of them.
         idle: Springs that do nothing along the motion, by label, and why.
@@ -238,6 +253,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
     calibrated: Transferred | None = None
     foreseen: Foreseen | None = None
     turns: dict[str, tuple[float, float]] = {}
+    lowest_link_m: float | None = None
+    motors: OfMotors | None = None
 
 
 class Bought(Coverage, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -402,12 +419,14 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
         speed_rad_per_s: Greatest speed [rad/s].
         acceleration_rad_per_s2: Greatest acceleration [rad/s²].
         torque_Nm: Greatest load torque.
+        jerk_rad_per_s3: Greatest rate of the acceleration [rad/s³].
     """
 
     range_rad: tuple[float | None, float | None]
     speed_rad_per_s: float | None
     acceleration_rad_per_s2: float | None
     torque_Nm: float | None
+    jerk_rad_per_s3: float | None = None
 
 
 class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
@@ -424,6 +443,9 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
         speeds: Whether the arm is at rest, moving or free at start and release.
         limits: Of the moving joints, by name.
         spring_limits: Of the springs as parts; null where a file does not say it.
+        floor_m: Height that tool and links stay above; null where there is no floor.
+        keep_outs: What tool and links keep out of.
+        link_radius_m: Of the links about the lines from joint to joint.
     """
 
     name: str
@@ -436,6 +458,9 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     speeds: dict[str, str]
     limits: dict[str, Limits]
     spring_limits: SpringLimits | None = None
+    floor_m: float | None = None
+    keep_outs: tuple[KeepOut, ...] = ()
+    link_radius_m: float = 0.0
 
 
 class Unsure(Struct, frozen=True, forbid_unknown_fields=True):

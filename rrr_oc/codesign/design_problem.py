@@ -3,27 +3,31 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import get_args
+from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from rrr_oc.codesign.clearance import Kept
 from rrr_oc.codesign.parts.constraints import Limited, limited
-from rrr_oc.codesign.series_elastic import SeriesElastic
+from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, Problem, Side
+from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem, Side
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
-FLOOR = "height of the tool"
 # [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
 POWER_WIDTH = 10.0
 NARROW = 1e-3  # [rad] springs' width where none is given, by which that of power follows
+# Factor on the tolerance by which limits of torque, of springs and of distances, and of accelerations whose jerk is limited, are exceeded
+# between the nodes: 0.1 % or 1 mm instead of 10⁻⁵. They fall slowly with the mesh; a tenth of it takes three times as many intervals
+EASING = 100.0
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 
@@ -153,7 +157,7 @@ class CoDesign:
     @cached_property
     def problem(self) -> Problem:
         """The optimal-control problem: states q, dq of the moving joints, controls their accelerations; with springs between drives
-        and links as `SeriesElastic` says.
+        and links as `SeriesElastic` says. Where the jerk has a limit, the acceleration is a state and the jerk the control.
 
         Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase, and where its
         posture is free, so are its angles. Springs
@@ -182,7 +186,8 @@ class CoDesign:
         """What the phases have in common where the arm moves on, and where its posture is free: speeds and angles at the task's ends."""
         m, made = len(self.task.moving), []
         for i, (speed, goal) in enumerate(zip(self.task.speeds, self.task.goals, strict=True)):
-            states = tuple(range(m)) * (goal is not None) + tuple(range(m, 2 * m)) * (speed == "moving")
+            moving = (*range(m, 2 * m), *self._jerk_states)
+            states = tuple(range(m)) * (goal is not None) + moving * (speed == "moving")
             made += [Link(1 - i, i, states)] * bool(states)
         return tuple(made)
 
@@ -197,14 +202,17 @@ class CoDesign:
                 np.full(m, 0.0 if speed == "rest" else np.nan),
                 [np.nan] * e,
                 np.zeros(e),
+                np.full(len(task.jerky), 0.0 if speed == "rest" else np.nan),
             ]
             for (angles, speed), goal in zip(ends, goals, strict=True)
         )
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
         of_links, free = task.speed.copy(), np.full(e, np.inf)
         of_links[own] = np.inf  # where a spring stands between drive and link, the drive's speed is limited
-        limited, floor = self._torque_rows, self._floors
+        limited, kept = self._torque_rows, self._kept
         bounded, parts = len(limited) * len(self.scenarios), [part.what for part in self.limited_parts]
+        jerky, moved = task.jerky, [f"{'the drive of ' * (i in own)}{j}" for i, j in enumerate(task.joints)]
+        most = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed)
         springs = [f"torque of the spring in series with {task.joints[row]}" for row in own]
         return Phase(
             name=PHASES[index],
@@ -214,25 +222,28 @@ class CoDesign:
                     *(f"{kind} of {j}" for kind in ("angle", "speed") for j in task.joints),
                     *springs,
                     *(f"speed of the drive of {task.joints[row]}" for row in own),
+                    *(f"acceleration of {moved[row]}" for row in jerky),
                 ),
-                np.r_[task.lower, -of_links, -free, -task.speed[own]],
-                np.r_[task.upper, of_links, free, task.speed[own]],
-                np.r_[np.ones(2 * m), np.full(e, torque), np.ones(e)],
+                np.r_[task.lower, -of_links, -free, -task.speed[own], -task.acceleration[jerky]],
+                np.r_[task.upper, of_links, free, task.speed[own], task.acceleration[jerky]],
+                np.r_[np.ones(2 * m), np.full(e, torque), np.ones(e), most[jerky]],
+                np.repeat([1.0, EASING], [2 * m + 2 * e, len(jerky)]),
             ),
             u=Bounded(
-                tuple(f"acceleration of {'the drive of ' * (i in own)}{j}" for i, j in enumerate(task.joints)),
-                -task.acceleration,
-                task.acceleration,
-                np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed),
+                tuple(f"{'jerk' if i in jerky else 'acceleration'} of {of}" for i, of in enumerate(moved)),
+                -self._control_limit,
+                self._control_limit,
+                np.where(np.isfinite(self._control_limit), self._control_limit, most),
             ),
             start=start,
             end=end,
             duration=task.duration,
             path=Bounded(
-                (*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *[FLOOR] * floor, *parts),
-                np.r_[-np.ones(bounded), np.full(floor, task.floor), np.full(len(parts), -np.inf)],
-                np.r_[np.ones(bounded), np.full(floor, np.inf), np.ones(len(parts))],
-                np.ones(bounded + floor + len(parts)),
+                (*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *(one.name for one in kept), *parts),
+                np.r_[-np.ones(bounded), [one.least for one in kept], np.full(len(parts), -np.inf)],
+                np.r_[np.ones(bounded), np.full(len(kept), np.inf), np.ones(len(parts))],
+                np.ones(bounded + len(kept) + len(parts)),
+                EASING,
             ),
             costs=tuple(range(self.costs)),
             boundaries=self._boundaries(index, torque, tuple(springs)),
@@ -266,7 +277,8 @@ class CoDesign:
     def _sizes(self) -> dict[str, int]:
         """Numbers of states, controls, parameters and data."""
         m = len(self.task.moving)
-        return {"x": 2 * m + 2 * len(self.series.rows), "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
+        states = 2 * m + 2 * len(self.series.rows) + len(self.task.jerky)
+        return {"x": states, "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
 
     @property
     def _torque_rows(self) -> list[int]:
@@ -274,9 +286,39 @@ class CoDesign:
         return np.flatnonzero(np.isfinite(self.task.torque)).tolist()
 
     @property
-    def _floors(self) -> int:
-        """Number of floors."""
-        return int(np.isfinite(self.task.floor))
+    def _kept(self) -> list[Kept]:
+        """The distances that the arm keeps, of symbols."""
+        return self.task.kept(ca.SX.sym("q", self.task.robot.n))
+
+    @property
+    def _jerk_states(self) -> tuple[int, ...]:
+        """States that are accelerations of the drives of joints with a limit of jerk; the last ones."""
+        first = 2 * len(self.task.moving) + 2 * len(self.series.rows)
+        return tuple(range(first, first + len(self.task.jerky)))
+
+    @property
+    def _control_limit(self) -> np.ndarray:
+        """Limit of each control: of an acceleration, or of a jerk (m,)."""
+        return np.where(np.isfinite(self.task.jerk), self.task.jerk, self.task.acceleration)
+
+    def acceleration(self, row: int) -> tuple[bool, int]:
+        """Whether the acceleration of a moving joint's drive is a state, and its index among these or the controls."""
+        jerky = self.task.jerky
+        return (True, self._jerk_states[jerky.index(row)]) if row in jerky else (False, row)
+
+    def accelerations(self, x: Any, u: Any) -> Any:
+        """Accelerations of the drives (m, ...) [rad/s²] among states and controls; of a guess, an optimum, or casadi's."""
+        if not self.task.jerky:
+            return u
+        ddq = ca.SX(u) if isinstance(u, ca.SX) else np.array(u)
+        ddq[self.task.jerky] = x[list(self._jerk_states)]
+        return ddq
+
+    @property
+    def orders(self) -> tuple[np.ndarray, np.ndarray]:
+        """How often each state and each control is derived by time: it grows by that power where a motion is run through faster."""
+        m, e, jerky = len(self.task.moving), len(self.series.rows), np.isfinite(self.task.jerk)
+        return np.repeat([0, 1, 0, 1, 2], [m, m, e, e, jerky.sum()]), 2 + jerky
 
     @property
     def limited_parts(self) -> list[Limited]:
@@ -295,7 +337,8 @@ class CoDesign:
     def _rates(self, index: int) -> ca.Function:
         task, m, series = self.task, len(self.task.moving), self.series
         x, u, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items())
-        q, dq, widths, torques, ddq, own = x[:m], x[m : 2 * m], self.widths(d), [], u, list(series.rows)
+        q, dq, widths, torques, own = x[:m], x[m : 2 * m], self.widths(d), [], list(series.rows)
+        ddq = driven = self.accelerations(x, u)
         for scenario in self.scenarios:
             theta, payload = ca.SX(self.engaged(index, p)), d[0] * scenario.payload if index == 0 else 0.0
             for at, value in scenario.theta:
@@ -306,20 +349,21 @@ class CoDesign:
             def load(ddq: ca.SX, payload=payload, theta=theta, there=there) -> ca.SX:
                 return there._load_torque(q, dq, ddq, payload, theta, widths)[0]
 
-            ddq = series.accelerations(load, x, u)
+            ddq = series.accelerations(load, x, driven)
             tau = load(ddq)
             tau[own] = series.torques(x)
             torques.append(tau)
-        speeds, accelerations = ca.SX(dq), u
+        speeds, accelerations = ca.SX(dq), driven
         speeds[own] = series.speeds(x)
         costs = ca.vertcat(*[self.cost_rate(speeds, accelerations, tau, self.power_width(d)) for tau in torques])
         if self.over == "mean":
             costs = ca.sum1(costs) / len(self.scenarios)
         path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in self._torque_rows])
-        if self._floors:
-            path = ca.vertcat(path, self.model.tool_height(self._all_joints(q, task.locked)))
+        path = ca.vertcat(path, *[one.value for one in task.kept(self._all_joints(q, task.locked))])
         path = ca.vertcat(path, *[part.over for part in self.limited_at(q, ca.SX(self.engaged(index, p)))])
-        return ca.Function("rates", [x, u, p, d], [ca.vertcat(dq, ddq, series.rates(x, u, p)), costs, path])
+        return ca.Function(
+            "rates", [x, u, p, d], [ca.vertcat(dq, ddq, series.rates(x, driven, p), *[u[j] for j in task.jerky]), costs, path]
+        )
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         moving = list(self.task.moving)
@@ -374,17 +418,33 @@ class CoDesign:
         return ca.Function("torques", inputs, [ca.densify(tau) for tau in self._load_torque(*inputs)])
 
     def lifted(self, guess: Guess, phases: Sequence[int] = range(len(PHASES))) -> Guess:
-        """A guess of these phases for the arm without springs in series, with their torque."""
-
+        """A guess of these phases by accelerations of the links, with the torque of springs in series, and with jerks where these have
+        limits."""
         if not self.series.rows:
-            return guess
+            return replace(guess, phases=tuple(self._with_jerk(phase) for phase in guess.phases))
 
         def load(phase: int):
             payload, theta = self.task.payloads[phase], self.engaged(phase, guess.parameters)
             return lambda *motion: np.array(self.torques(*motion, payload, theta, self.model.widths)[0])
 
         parts, compliance = zip(phases, guess.phases, strict=True), guess.parameters[list(self.series.compliances)]
-        return replace(guess, phases=tuple(self.series.lifted(part, load(i), compliance) for i, part in parts))
+        lifted = (self.series.lifted(part, load(i), compliance) for i, part in parts)
+        return replace(guess, phases=tuple(self._with_jerk(phase) for phase in lifted))
+
+    def _with_jerk(self, phase: PhaseGuess) -> PhaseGuess:
+        """A guess whose controls are accelerations with those of joints with a limit of jerk as states."""
+        rows, s = self.task.jerky, np.linspace(0, 1, POINTS)
+        if not rows:
+            return phase
+        most = self._control_limit[rows][:, None]
+        course = CubicSpline(s, phase.controls(s)[rows], axis=1)
+
+        def controls(s: np.ndarray) -> np.ndarray:
+            u = phase.controls(s).copy()
+            u[rows] = np.clip(course(s, 1) / phase.duration, -most, most)
+            return u
+
+        return PhaseGuess(phase.duration, lambda s: np.vstack([phase.states(s), phase.controls(s)[rows]]), controls)
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""

@@ -98,7 +98,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         keep = np.r_[np.flatnonzero(np.tile(np.arange(points) < points - 1, t.shape[0])), t.size - 1]
         ddq = solution.rates(i, x, u)[0][m : 2 * m]
         x, u, ddq = (v.reshape(len(v), -1)[:, keep] for v in (x, u, ddq))
-        q, dq, twist = x[:m], x[m : 2 * m], design.series.twist(x, ddq, u, solution.parameters)
+        q, dq, twist = x[:m], x[m : 2 * m], design.series.twist(x, ddq, design.accelerations(x, u), solution.parameters)
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, design.engaged(i, solution.parameters), widths))
         n = len(keep)
         parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload), twist))
@@ -272,6 +272,27 @@ def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = 
         key: {j: float(x[row]) for j, row in zip(joints, rows or range(len(joints)), strict=True)} for key, x in figures.items()
     }
     return {"E1": sum(by_joint["E1_joint"].values()), **by_joint}
+
+
+def describe_motors(design: CoDesign, motion: SampledMotion) -> dict[str, Any] | None:
+    """The metrics of `describe` of the motor torque along a motion, "work_J" and "electrical_J"; None where the design has no actuators.
+
+    Drives move as the links, unless springs stand between them.
+    """
+    motors = design.actuators
+    if motors is None:
+        return None
+    drives, spans, work, electrical = motion.of_drives(motion.twist), [], 0.0, 0.0
+    for k in motion.segments:
+        t, dq, ddq = drives.t[k], drives.dq[:, k], drives.ddq[:, k]
+        torque = np.array(motors.motor_from_load(dq, ddq, motion.tau_load[:, k]))
+        spans.append((t, torque))
+        work += float(np.trapezoid(np.maximum(torque * dq, 0).sum(axis=0), t))
+        if np.all(np.isfinite(motors.resistance)):
+            power = np.array(motors.exact_power(dq, torque / motors.torque_constant[:, None]))
+            electrical += float(np.trapezoid(power.sum(axis=0), t))
+    known = bool(np.all(np.isfinite(motors.resistance)))
+    return describe(design, measure(spans)) | {"work_J": work, "electrical_J": electrical if known else None}
 
 
 def describe_simulation(design: CoDesign, solution: Solution, motion: SampledMotion) -> dict[str, Any]:

@@ -25,7 +25,8 @@ POINTS = 65  # at which a guess's load torque is interpolated; doubled, its kink
 class SeriesElastic:
     """The joints with series springs, and where their compliances stand.
 
-    The states are q, dq (m each), then torques of the series springs and speeds of their drives (e each).
+    The states begin with q, dq (m each), then torques of the series springs and speeds of their drives (e each). The controls are taken
+    to be the accelerations of the drives, which are states themselves where their jerk has a limit.
 
     Attributes:
         count: Number of moving joints m.
@@ -43,7 +44,7 @@ class SeriesElastic:
 
     def speeds(self, x):
         """Speeds of their drives (e, ...) [rad/s] among the states."""
-        return x[2 * self.count + len(self.rows) :]
+        return x[2 * self.count + len(self.rows) : 2 * self.count + 2 * len(self.rows)]
 
     def speed_state(self, row: int) -> int:
         """Index of the state that the speed of a moving joint's drive is."""

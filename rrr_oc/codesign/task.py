@@ -10,11 +10,13 @@ import numpy as np
 from msgspec import Meta, field
 from scipy.optimize import least_squares, minimize
 
+from rrr_oc.codesign.clearance import FLOOR, TOOL, KeepOut, Kept, Surroundings, link_ends
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.robot.drives import MotorAndGear
 from rrr_oc.robot.goals import Goal
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot, resting_angle
@@ -103,12 +105,15 @@ class Limits(Schema, frozen=True):
         range_deg: Least and greatest angle.
         speed_deg_per_s: Greatest speed.
         acceleration_deg_per_s2: Greatest acceleration.
+        jerk_deg_per_s3: Greatest jerk, the rate of the acceleration; with one the acceleration is 0 where the arm rests at start and release.
+            By default there is no limit, and accelerations may jump.
         torque_Nm: Greatest load torque; by default the robot file's, and with "none" there is no limit.
     """
 
     range_deg: Interval | None = None
     speed_deg_per_s: Positive | None = None
     acceleration_deg_per_s2: Positive | None = None
+    jerk_deg_per_s3: Positive | None = None
     torque_Nm: Positive | Literal["none"] | None = None
 
     def __post_init__(self) -> None:
@@ -132,8 +137,12 @@ class TaskFile(Schema, frozen=True):
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where the payload is held; by default the last link's tool frame.
         path_margin: If given, the joints' ranges become the way between both ends, widened on each side by this share of it [1].
-        floor_m: Height that the tool stays above; by default none.
+        floor_m: Height that the tool and all links stay above, against gravity; the base's plane is 0. By default and with null there is
+            none.
+        keep_outs: What tool and links keep out of.
+        link_radius_m: Of the links about the lines from joint to joint, for floor and keep-outs; the tool's point has none.
         springs: Springs that a design may use, each with bounds of its quantities.
+        actuators: Motor and gear of each moving joint, by which costs and reports know what the motors pay; by default none is known.
         spring_limits: Limits of these springs as parts, in the design and in the parts that are worked out for it; by default those of
             the parts alone.
         locked_deg: Angles of joints that do not move; 0 for those left out, or the middle of a range that lacks 0.
@@ -154,8 +163,11 @@ class TaskFile(Schema, frozen=True):
     gravity: Vector | None = None
     tool: Tool | None = None
     path_margin: NonNegative | None = None
-    floor_m: float = -np.inf
+    floor_m: float | None = None
+    keep_outs: tuple[KeepOut, ...] = ()
+    link_radius_m: NonNegative = 0.0
     springs: list[dict[str, Any]] = field(default_factory=list)
+    actuators: dict[str, MotorAndGear] = field(default_factory=dict)
     spring_limits: SpringLimits | None = None
     locked_deg: dict[str, float] = field(default_factory=dict)
     joints: tuple[Text, ...] | None = None
@@ -185,9 +197,11 @@ class Task:
         lower, upper: Angles allowed [rad], (m,).
         speed: Speed limits [rad/s], (m,).
         acceleration: Acceleration limits [rad/s²], (m,); infinite where there is none.
+        jerk: Jerk limits [rad/s³], (m,); infinite where there is none.
         torque: Load-torque limits [Nm], (m,); infinite where there is none.
-        floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
+        around: What tool and links must not touch.
         springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
+        actuators: Motor and gear by moving joint; none where they are not known.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
         speeds: Of the arm at start and release, as in the file.
         goals: Places of the tool at start and release where the posture is free there.
@@ -208,9 +222,11 @@ class Task:
     upper: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
+    jerk: np.ndarray
     torque: np.ndarray
-    floor: float
+    around: Surroundings
     springs: tuple[Mapping[str, Any], ...]
+    actuators: Mapping[str, MotorAndGear]
     locked: tuple[float, ...] = ()
     speeds: tuple[Speed, Speed] = ("rest", "rest")
     goals: tuple[Goal | None, Goal | None] = (None, None)
@@ -246,6 +262,23 @@ class Task:
         and the result are casadi's or numbers."""
         still = np.zeros(self.robot.n)
         return self.model().inverse(q, still, still, payload, [], [])[0][list(self.moving)]
+
+    @property
+    def jerky(self) -> list[int]:
+        """Rows of the moving joints whose jerk has a limit."""
+        return np.flatnonzero(np.isfinite(self.jerk)).tolist()
+
+    def kept(self, q) -> list[Kept]:
+        """The distances that tool and links keep at angles of all joints (n,), numbers or casadi's."""
+        return self.around.kept(self.robot, self.tool, self.moving, q, self.full(self.start))
+
+    def heights(self, q: np.ndarray) -> np.ndarray:
+        """Heights against gravity of the origins of the joints after the first moving one, and of the tool, the last row, at angles of the
+        moving joints (m, K); (·, K) [m]."""
+        column = ca.SX.sym("q", self.robot.n)
+        points = link_ends(self.robot, self.tool)(column)[:, self.moving[0] + 1 :]
+        above = ca.Function("above", [column], [(ca.DM(upwards(self.robot.gravity)).T @ points).T])
+        return np.array(above.map(q.shape[1])(self.full(q)))
 
     def full(self, moving: np.ndarray) -> np.ndarray:
         """Angles of all joints, (n, ...), from those of the moving ones, (m, ...)."""
@@ -295,13 +328,14 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         release=np.zeros(len(moving)),
         payload=given.payload_kg,
         duration=given.duration_s,
-        floor=given.floor_m,
+        around=Surroundings(-np.inf if given.floor_m is None else given.floor_m, given.keep_outs, given.link_radius_m),
         springs=springs,
         locked=_locked(where, robot, given),
         speeds=(given.start.speed, given.release.speed),
         goals=(None, None),
         cycle=given.cycle_s,
         spring_limits=given.spring_limits or SpringLimits(),
+        actuators=_actuators(where, given),
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
@@ -355,10 +389,20 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
                     f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}°{' each way' * (ways - 1)} "
                     f"at {limits}, and {key} allows {most:g} s"
                 )
-    for end, q in (("start", task.start), ("release", task.release)):
-        height = float(body.tool_height(task.full(q), task.tool, task.robot.gravity))
-        if height < task.floor:
-            raise UserError(f"{where}: at the {end} the tool stands {height:.4f} m high, below floor_m = {task.floor:g} m")
+    for (end, q), goal in zip((("start", task.start), ("release", task.release)), task.goals, strict=True):
+        for kept in task.kept(task.full(q)):
+            at = float(kept.value)
+            if goal is not None and kept.of != TOOL:
+                continue  # another posture may be free of it
+            if at < kept.least and kept.name == FLOOR:
+                over = f"{task.around.floor:g} m" + f" and link_radius_m = {task.around.link_radius:g} m" * (
+                    at >= task.around.floor
+                )
+                raise UserError(f"{where}: at the {end} {kept.of} stands {at:.4f} m high, below floor_m = {over}")
+            if at < kept.least:
+                raise UserError(
+                    f"{where}: at the {end} {kept.of} is {at:.4f} m from {kept.name}; {kept.least:.4f} m or more is required"
+                )
 
 
 def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:
@@ -391,9 +435,18 @@ def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
         speed = own.speed_deg_per_s or np.degrees(robot.velocity[j])
         if not speed > 0:
             raise UserError(f"{where}: limits.{joint}: key 'speed_deg_per_s' is missing; the URDF allows no speed")
-        acceleration = own.acceleration_deg_per_s2 or np.inf
-        rows.append([*np.radians([low, high, speed, acceleration]), _torque_limit(own, robot.effort[j])])
-    return dict(zip(("lower", "upper", "speed", "acceleration", "torque"), np.array(rows).T, strict=True))
+        rates = speed, own.acceleration_deg_per_s2 or np.inf, own.jerk_deg_per_s3 or np.inf
+        rows.append([*np.radians([low, high, *rates]), _torque_limit(own, robot.effort[j])])
+    return dict(zip(("lower", "upper", "speed", "acceleration", "jerk", "torque"), np.array(rows).T, strict=True))
+
+
+def _actuators(where: str, given: TaskFile) -> dict[str, MotorAndGear]:
+    """Motors and gears by moving joint; raises `UserError` where some joints have one and others have none."""
+    if given.actuators:
+        check_names(given.actuators, given.moving, f"{where}: actuators", "joint")
+        if missing := [joint for joint in given.moving if joint not in given.actuators]:
+            raise UserError(f"{where}: actuators: key {missing[0]!r} is missing; every moving joint, or none, is required")
+    return {joint: given.actuators[joint] for joint in given.moving if given.actuators}
 
 
 def _torque_limit(own: Limits, effort: float) -> float:

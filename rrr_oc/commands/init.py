@@ -55,6 +55,7 @@ MIDDLE = 0.7  # share of a joint's range in which the task's ends are looked for
 WAY = (0.15, 0.5)  # least and greatest distance between both ends over the arm's reach
 HEIGHT = (0.1, 0.5)  # height of both ends over the reach: above a table, and not above the arm
 FRONT = 0.1  # both ends are so far in front of the base, over the reach; at 0, ends would be above it
+FLOORS = ("0.0", "null")  # of the task: the base's plane, and none for an arm that stands lower at an end, as one that hangs
 OFFERS = 20  # pairs of ends that the task's reader is asked about; it refuses few
 TRIALS = 400  # random pairs of ends; the best that the task's reader accepts is taken
 ALONG = 0.3  # share of the tool's greatest travel that it must have along x for this to be the front; doubled, skewed planes are not
@@ -247,8 +248,8 @@ def _write_task(path: Path, name: str, robot: Robot) -> tuple[str, ...]:
     """Write a task whose ends are in reach, and return its moving joints; raises `UserError` where none is found."""
     said = "no two ends of a task were found"
     for moved in _ways_to_move(robot):
-        for ends in _ends(moved):
-            write_text(path, _task(name, moved, ends))
+        for ends, floor in ((ends, floor) for ends in _ends(moved) for floor in FLOORS):
+            write_text(path, _task(name, moved, ends, floor))
             try:
                 load_task(path)
                 return tuple(robot.joints[j] for j in moved.joints)
@@ -363,7 +364,7 @@ def _payload(moved: Moved, pair: np.ndarray) -> float:
     return float(f"{np.floor(most / digit * (1 + 1e-9)) * digit:.1g}") or 1e-3
 
 
-def _task(name: str, moved: Moved, ends: Ends) -> str:
+def _task(name: str, moved: Moved, ends: Ends, floor: str) -> str:
     """The content of task.json, with a hint of every optional key."""
     robot, limits = moved.robot, moved.limits
     names = [robot.joints[j] for j in moved.joints]
@@ -380,6 +381,10 @@ def _task(name: str, moved: Moved, ends: Ends) -> str:
     springs = ",\n".join(_spring_bounds(robot, j, limit, ends.payload) for j, limit in zip(moved.joints, limits, strict=True))
     locked = f'\n  "locked_deg": {{{", ".join(still)}}}, // angles of the others' if still else ""
     longest = max(5.0, np.ceil(max((high - low) / speed for low, high, speed in limits)))
+    actuators = ", ".join(
+        f'{json.dumps(joint)}: {{"dry_Nm": 1.0, "viscous_Nm_s_per_rad": 1.0, "inertia_kg_m2": 0.1, "efficiency": 0.9}}'
+        for joint in names
+    )
     place = [0.0, 0.0, 0.0] if moved.tool is None else (moved.tool + 0.0).tolist()
     return f"""{{
   // What the arm has to do. Comments go from // to the end of the line. Bounds are [least, greatest].
@@ -395,10 +400,13 @@ def _task(name: str, moved: Moved, ends: Ends) -> str:
   "payload_kg": {ends.payload:g}, // from start to release; the arm comes back without it
   "duration_s": [0.5, {longest:g}], // of each way
   // "cycle_s": [1.0, {2 * longest:g}], // of both ways together
-  // "floor_m": 0.0, // the tool stays above
+  "floor_m": {floor}, // tool and links stay above; the base's plane is 0.0, and with null there is none
+  // "link_radius_m": 0.03, // of the links about the lines from joint to joint, which keep it from floor and keep-outs
+  // "keep_outs": [{{"name": "post", "box": {{"center_m": [9.0, 0.0, 0.0], "size_m": [0.1, 0.1, 2.0]}}}}], // also "capsule"
+  // "actuators": {{{actuators}}}, // motor and gear of each moving joint, at the joint
   // "spring_limits": {{"torque_Nm": 20, "turn_deg": 180, "outside_mm": 80}}, // of the springs as parts
   // "path_margin": 0.25, // keep the joints' ranges to the way between both ends and this share of it
-  "limits": {{ // also "acceleration_deg_per_s2", and "torque_Nm" in place of the robot file's
+  "limits": {{ // also "acceleration_deg_per_s2", "jerk_deg_per_s3", and "torque_Nm" in place of the robot file's
 {bounds}
   }},
   "springs": [ // that a design may use, each with bounds; make them those of springs that you can mount

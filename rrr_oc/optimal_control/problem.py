@@ -20,12 +20,19 @@ class Bounded:
         names: Their names, for messages (n).
         lower, upper: Their bounds (n,).
         scale: Typical magnitudes, by which the solver's variables are scaled (n,).
+        easing: Factors on the tolerance of an excess of their bounds between the nodes of a mesh, (n,) or one for all.
     """
 
     names: tuple[str, ...] = ()
     lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
     upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
     scale: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    easing: np.ndarray | float = 1.0
+
+    @property
+    def easings(self) -> np.ndarray:
+        """The factors on the tolerance (n,)."""
+        return np.broadcast_to(np.asarray(self.easing, float), len(self))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -24,7 +24,8 @@ class MeshError:
         largest: The largest of them.
         quadrature: Relative difference between the cost with the scheme's weights and by fine quadrature on the same motion.
             Not the cost's distance from the optimum: that shows in its change from mesh to mesh.
-        excess: For each phase, the largest excess of a state's bound in each interval, relative to its scale (N,).
+        excess: For each phase, the largest excess of a bound of a state or a path in each interval, relative to its scale times its
+            easing (N,).
         violation: Largest excess of bounds between the nodes, relative to the variables' scales; of paths, in their own unit.
     """
 
@@ -52,12 +53,14 @@ def mesh_error(solution: Solution) -> MeshError:
         quadrature = np.abs(fine - np.einsum("cdn,d,n->cn", coarse, solution.transcription.scheme.b, h)) * phase.weight / scale
         intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature.max(axis=0)))
         np.add.at(fine_total, list(phase.costs), phase.weight * fine.sum(axis=1))
+        over = np.zeros(len(h))
         for value, of in ((x, phase.x), (u, phase.u), (path, phase.path)):
             lower, upper, size = (part[:, None, None] for part in (of.lower, of.upper, of.scale))
             excess = np.maximum(lower - value, value - upper) / size
             violation = max(violation, float(excess.max(initial=0.0)))
-            if value is x:
-                excesses.append(excess.max(axis=(0, 2), initial=0.0))
+            if value is not u:
+                over = np.maximum(over, (excess.max(axis=2, initial=0.0) / of.easings[:, None]).max(axis=0, initial=0.0))
+        excesses.append(over)
     largest = max(float(e.max()) for e in intervals)
     quadrature = abs(solution.problem.cost(fine_total) - solution.cost) / scale
     return MeshError(tuple(intervals), largest, quadrature, tuple(excesses), violation)
@@ -69,7 +72,7 @@ class Refinement:
 
     Attributes:
         tolerance: Relative tolerance of the error between the nodes and of the cost's change from mesh to mesh.
-        excess: Excess of a state's bound between the nodes, relative to its scale, that is small enough.
+        excess: Excess of a bound of a state or a path between the nodes, relative to its scale times its easing, that is small enough.
         rounds: Largest number of finer meshes.
         largest: Largest number of intervals a phase.
     """
@@ -83,7 +86,8 @@ class Refinement:
 def refine(
     solution: Solution, refinement: Refinement | None = None, options: Options | None = None
 ) -> tuple[Solution, list[dict]]:
-    """Solve on finer meshes until the error between the nodes, the change of the cost and the states' excess are below their tolerances.
+    """Solve on finer meshes until the error between the nodes, the change of the cost and the excess of states and paths are below their
+    tolerances.
 
     Intervals whose error is too large are split into two to four by the scheme's order, and so are those in which a control leaves a
     limit, because from the second mesh on limits of controls hold everywhere. That mesh starts with a barrier parameter so large
@@ -95,7 +99,7 @@ def refine(
         The last solution, and one row a mesh: intervals, cost, error, quadrature, violation, iterations and seconds; from the
         second row on also the relative `change` of the cost and whether the mesh has `converged`. It has not where `rounds`
         or `largest` ended the refinement. Limits of controls hold everywhere, those of states and paths at nodes and stages;
-        `violation` is their largest excess in between. That of paths is no part of the tolerances.
+        `violation` is their largest excess in between.
     """
     refinement, options = refinement or Refinement(), options or Options()
     options = replace(options, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))

@@ -20,11 +20,12 @@ from rrr_oc.codesign.task import Task
 from rrr_oc.kept import kept_motion
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
+from rrr_oc.report.design_words import MOTOR_TORQUE
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
 COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
-QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
+QUANTITIES = {"load": "E1", "motor": MOTOR_TORQUE, "energy": "energy"}  # names of the costs in tables and figures
 FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice", "cycle_times")
 FILES = ("summary.json", "report.md", "report.html", *(f"{name}.png" for name in FIGURES))
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
@@ -82,8 +83,8 @@ def summary(study: Study, found: Mapping[str, Configuration], wall_s: float, com
 
 
 def _asked(task: Task, weight: float) -> TaskAsked:
-    rows = zip(task.joints, task.lower, task.upper, task.speed, task.acceleration, task.torque, strict=True)
-    keys = ("range_rad", "speed_rad_per_s", "acceleration_rad_per_s2", "torque_Nm")
+    rows = zip(task.joints, task.lower, task.upper, task.speed, task.acceleration, task.torque, task.jerk, strict=True)
+    keys = ("range_rad", "speed_rad_per_s", "acceleration_rad_per_s2", "torque_Nm", "jerk_rad_per_s3")
     asked = {
         "name": task.name,
         "weight": weight,
@@ -92,6 +93,9 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "cycle_s": task.cycle,
         "speeds": dict(zip(("start", "release"), task.speeds, strict=True)),
         "spring_limits": task.spring_limits,
+        "floor_m": task.around.floor,
+        "keep_outs": task.around.keep_outs,
+        "link_radius_m": task.around.link_radius,
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }
     ends = {

@@ -6,7 +6,7 @@ the ends of a phase, the path's slope is zero there; where it is not, Akima's ow
 
 Limits are penalties: cost = E1 + `WEIGHT` · (magnitude of E1) · excess. The excess is the sum, over joints and phases, of the largest
 violations of the limits of angle [rad], speed and acceleration (relative to their limits), exact along the path, and of load torque
-(relative) and of the tool's depth below the floor [m], at the nodes of the quadrature. The penalty is exact if the weight exceeds the
+(relative) and of depths below the floor and in keep-outs [m], at the nodes of the quadrature. The penalty is exact if the weight exceeds the
 limits' multipliers.
 """
 
@@ -218,21 +218,22 @@ def excesses(design: CoDesign, candidates: Candidates) -> np.ndarray:
 
 
 def _sampled_excess(design: CoDesign, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """The same of load torque and of the tool's depth below the floor, where there are such limits."""
+    """The same of load torque and of distances that the arm keeps, where there are such limits."""
     task, total = design.task, np.zeros(q.shape[-1])
     for j in np.flatnonzero(np.isfinite(task.torque)):
         over = np.abs(tau[j]) / task.torque[j] - 1
         total += np.maximum(over, 0).max(axis=tuple(range(1, over.ndim - 1))).sum(axis=0)
-    if np.isfinite(task.floor):
-        height = along(_height(design), q.reshape(len(q), -1))[0].reshape(q.shape[1:])
-        depth = task.floor - height
-        total += np.maximum(depth, 0).max(axis=tuple(range(1, depth.ndim - 1))).sum(axis=0)
+    if task.kept(task.full(task.start)):
+        for missing in along(_missing(design), q.reshape(len(q), -1))[0]:
+            short = missing.reshape(q.shape[1:])
+            total += np.maximum(short, 0).max(axis=tuple(range(1, short.ndim - 1))).sum(axis=0)
     return total
 
 
-def _height(design: CoDesign) -> ca.Function:
+def _missing(design: CoDesign) -> ca.Function:
+    """Angles of the moving joints (m,) -> what the distances that the arm keeps lack [m]."""
     q = ca.SX.sym("q", len(design.task.moving))
     full = ca.SX.zeros(design.task.robot.n)
     for row, joint in enumerate(design.task.moving):
         full[joint] = q[row]
-    return ca.Function("height", [q], [design.model.tool_height(full)])
+    return ca.Function("missing", [q], [ca.vertcat(*[one.least - one.value for one in design.task.kept(full)])])

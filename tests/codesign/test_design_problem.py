@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.certificate import exact_cost, reintegrate
+from rrr_oc.codesign.clearance import Surroundings
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import describe_simulation, sample_motion
 from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
@@ -273,7 +274,7 @@ def test_a_floor_holds():
             heights.append((0.07 + 0.3 * np.sin(q[0]) + 0.3 * np.sin(q[0] + q[1])).min())
         return min(heights)
 
-    free, above = solved(design_of("SA")), solved(design_of("SA", replace(TASK, floor=0.06)))
+    free, above = solved(design_of("SA")), solved(design_of("SA", replace(TASK, around=Surroundings(0.06))))
     assert lowest(free) < 0.05
     assert lowest(above) >= 0.06 - 1e-7  # IPOPT's relaxation
     assert above.cost > free.cost * (1 + 1e-5)

@@ -12,7 +12,7 @@ VIA = np.array([[[0.2, -0.4], [0.3, 0.8]], [[-0.3, 0.1], [0.6, -0.2]]])  # [rad]
 
 
 def motions(design) -> list[HeldMotion]:
-    return [HeldMotion.of(phase) for phase in motion_guess(design, design.problem.p_upper, (1.5, 2.5), VIA).phases]
+    return [HeldMotion.of(design, phase) for phase in motion_guess(design, design.problem.p_upper, (1.5, 2.5), VIA).phases]
 
 
 def mean_square(design, phases, theta) -> float:

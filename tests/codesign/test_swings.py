@@ -12,6 +12,7 @@ from rrr_oc.codesign.search.swings import turns, with_other_swings
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
 
 S = np.linspace(0, 1, 2001)
+ORDERS = np.array([0, 0, 1, 1]), np.array([2, 2])
 
 
 def swinging(number: float, T: float = 3.0, drift: float = 0.0) -> PhaseGuess:
@@ -40,7 +41,7 @@ def test_a_swing_is_repeated_or_left_out(drift):
     """Of two and a half swings each becomes two, and each but the whole is left out: four swings from turn to turn but one."""
     phase = swinging(2.5, drift=drift)
     first, last = phase.states(np.array([0.0, 1.0]))[:2].T
-    made = with_other_swings(phase, 2, (0.5, 20.0))
+    made = with_other_swings(phase, ORDERS, (0.5, 20.0))
     assert len(made) == 8
     for i, one in enumerate(made):
         x = one.states(S)
@@ -53,7 +54,7 @@ def test_a_swing_is_repeated_or_left_out(drift):
 
 
 def test_a_swing_is_made_faster_where_there_is_no_time_for_it():
-    slow, fast = (with_other_swings(swinging(2.0, T=4.0), 2, (1.0, most))[0] for most in (20.0, 4.0))
+    slow, fast = (with_other_swings(swinging(2.0, T=4.0), ORDERS, (1.0, most))[0] for most in (20.0, 4.0))
     assert (slow.duration, fast.duration) == (pytest.approx(6.0, abs=0.02), 4.0)
     faster = slow.duration / fast.duration
     np.testing.assert_allclose(fast.states(S)[:2], slow.states(S)[:2], atol=1e-9)
@@ -64,12 +65,12 @@ def test_a_swing_is_made_faster_where_there_is_no_time_for_it():
 def test_swings_of_two_joints_at_one_time_are_one():
     alone = swinging(2.0)
     both = PhaseGuess(3.0, lambda s: alone.states(s)[[0, 0, 2, 2]], lambda s: alone.controls(s)[[0, 0]])
-    assert len(with_other_swings(both, 2, (0.5, 20.0))) == len(with_other_swings(alone, 2, (0.5, 20.0)))
+    assert len(with_other_swings(both, ORDERS, (0.5, 20.0))) == len(with_other_swings(alone, ORDERS, (0.5, 20.0)))
 
 
 def test_a_motion_that_does_not_swing_has_no_others():
     straight = PhaseGuess(1.0, lambda s: np.array([s, -s, 0 * s + 1, 0 * s - 1]), lambda s: np.zeros((2, s.size)))
-    assert with_other_swings(straight, 2, (0.5, 5.0)) == []
+    assert with_other_swings(straight, ORDERS, (0.5, 5.0)) == []
 
 
 def test_the_search_goes_from_one_number_of_swings_to_the_best():

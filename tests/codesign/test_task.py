@@ -114,7 +114,7 @@ def test_paper_preset_is_what_facts_say():
     np.testing.assert_array_equal(task.tool.position, [0.3, 0, 0])
     np.testing.assert_allclose(task.robot.inertial[0], [4.480, 4.045, 2.181])
     assert (task.payloads, task.duration, task.joints) == ((5.0, 0.0), (1.0, 5.0), ("joint2", "joint3"))
-    assert task.floor == -np.inf
+    assert (task.around.floor, task.around.keep_outs, task.jerky) == (-np.inf, (), [])
     np.testing.assert_array_equal(task.ends(0), [task.start, task.release])
     np.testing.assert_array_equal(task.ends(1), [task.release, task.start])
     np.testing.assert_array_equal(task.full(np.array([[1.0, 2], [3, 4]])), [[0, 0], [1, 2], [3, 4]])
@@ -228,6 +228,14 @@ WRONG = {
     ),
     "a moving joint locked": ({"locked_deg": {"joint2": 10}}, "locked_deg: unknown locked joint 'joint2'; allowed are joint1"),
     "locked outside the range": ({"locked_deg": {"joint1": 1e4}}, r"locked_deg\.joint1: found 10000; its range is"),
+    "a motor for one joint of two": (
+        {"actuators": {"joint2": {"dry_Nm": 1.0}}},
+        "actuators: key 'joint3' is missing; every moving joint, or none",
+    ),
+    "a gear that gains": (
+        {"actuators": {"joint2": {"efficiency": 1.2}, "joint3": {}}},
+        "efficiency: found 1.2; a number above 0, and up to 1",
+    ),
     "missing robot": ({"robot": "nowhere.urdf"}, "no robot at 'nowhere.urdf'"),
 }
 

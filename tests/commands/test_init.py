@@ -92,7 +92,17 @@ def test_hints_name_every_optional_key_and_are_valid_once_uncommented(tmp_path):
         assert key in parsed("f", (tmp_path / "set" / "recordings" / "recordings.json").read_text())
     first, second = read_header(tmp_path / "set" / "recordings" / "recordings.json").recordings
     assert (first.payload, first.group, list(first.springs), second.file) == (2.0, "first day", ["pea"], "second.csv")
-    assert load_task(tmp_path / "set" / "task.json").floor == 0.0
+    around = load_task(tmp_path / "set" / "task.json").around
+    assert (around.floor, around.link_radius, [one.name for one in around.keep_outs]) == (0.0, 0.03, ["post"])
+
+
+def test_the_floor_is_the_bases_plane_where_both_ends_are_above_it(tmp_path):
+    """An arm of 0.8 m on a column of 0.4 m, whose joints let it do no more than hang, has none."""
+    write_example(an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0)), tmp_path / "above")
+    write_example(an_arm(tmp_path, LIMIT.format(-1.6, -1.2, 2.0)), tmp_path / "below")
+    floors = [load_task(tmp_path / name / "task.json").around.floor for name in ("above", "below")]
+    assert floors == [0.0, -np.inf]
+    assert '"floor_m": null,' in (tmp_path / "below" / "task.json").read_text()
 
 
 def test_an_arm_without_masses_gets_a_set_that_identifies_them_and_no_task(tmp_path, capsys):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import Akima1DInterpolator
 
+from rrr_oc.codesign.clearance import Surroundings
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
@@ -143,7 +144,7 @@ def test_limits_of_torque_and_of_the_tools_height_are_penalised():
     """A path that is far below a floor, and needs more torque than allowed, by 5 mm and 1 Nm tighter limits each."""
     known, x = encoding("SA"), calm(encoding("SA"), 1)
     plain = Analytic(known)(x)
-    for change in ({"floor": 0.069}, {"torque": np.array([5.0, 2.0])}):
+    for change in ({"around": Surroundings(0.069)}, {"torque": np.array([5.0, 2.0])}):
         tighter = Encoding(CoDesign(replace(TASK, **change), spring_bounds(TASK, "SA")))
         limited = Analytic(tighter)(x)
         assert limited.E1[0] == pytest.approx(plain.E1[0], rel=1e-12)

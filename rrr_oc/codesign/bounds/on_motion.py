@@ -335,7 +335,7 @@ def needed_by(solution: Solution, design: CoDesign) -> tuple[Needed, float]:
     widths, rows, cost = np.zeros(design.model.widths.size), [], 0.0
     for phase, payload in enumerate(task.payloads):
         _, x, _, u = solution.sample(phase, (points + 1) / 2)
-        q, dq, ddq = (v.reshape(m, -1) for v in (x[:m], x[m:], u))
+        q, dq, ddq = (v.reshape(m, -1) for v in (x[:m], x[m : 2 * m], design.accelerations(x, u)))
         step = np.outer(solution.transcription.mesh[phase] * solution.durations[phase], weights / 2).ravel()
         without, own = (
             np.array(design.torques(q, dq, ddq, payload, design.engaged(phase, p), widths)[0]) for p in (slack, theta)

@@ -197,7 +197,7 @@ def _fitted(polishers: Sequence[Polisher], springs: Sequence["Springs"], guess: 
     design = polishers[0].design
     if design.series.rows or not np.any(design.problem.p_lower < design.problem.p_upper):
         return []
-    motions, fits = [HeldMotion.of(phase) for phase in guess.phases], max(FITTED // len(polishers), FITS)
+    motions, fits = [HeldMotion.of(design, phase) for phase in guess.phases], max(FITTED // len(polishers), FITS)
     found = ordered(fitted_springs, [(p.design, motions, fits, p.options.width) for p in polishers])
     every = [(left, way, theta) for way, some in enumerate(found) for left, theta in some]
     order = ((way, theta) for _, way, theta in sorted(every, key=lambda one: one[0]))

@@ -116,6 +116,5 @@ def stretched(design: CoDesign, solution: Solution, seconds: float) -> list[Gues
 
 def _faster(design: CoDesign, phase: PhaseGuess, duration: float) -> PhaseGuess:
     """The motion of a phase run through in another duration [s]."""
-    m, e, factor = len(design.task.moving), len(design.series.rows), phase.duration / duration
-    rates = np.r_[np.ones(m), np.full(m, factor), np.ones(e), np.full(e, factor)][:, None]
-    return PhaseGuess(duration, lambda s: rates * phase.states(s), lambda s: factor**2 * phase.controls(s))
+    of_states, of_controls = ((phase.duration / duration) ** orders[:, None] for orders in design.orders)
+    return PhaseGuess(duration, lambda s: of_states * phase.states(s), lambda s: of_controls * phase.controls(s))

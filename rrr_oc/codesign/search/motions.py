@@ -126,7 +126,7 @@ class MotionSearch:
             others = [
                 (*own[:k], other, *own[k + 1 :])
                 for k, phase in enumerate(own)
-                for other in with_other_swings(phase, len(task.moving), task.duration)
+                for other in with_other_swings(phase, self.design.orders, task.duration)
             ]
             starts.append([solvers[FINE].transcription.pack(Guess(some, parameters)) for some in (own, *others)])
         swings = self.covered.swings + sum(len(some) - 1 for some in starts)

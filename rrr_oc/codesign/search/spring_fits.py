@@ -34,11 +34,11 @@ class HeldMotion:
     weight: float = 1.0
 
     @classmethod
-    def of(cls, phase: PhaseGuess) -> "HeldMotion":
+    def of(cls, design: CoDesign, phase: PhaseGuess) -> "HeldMotion":
         """A phase's motion, weighted by its duration. The arm must have no springs between drives and links."""
-        shares = np.linspace(0, 1, TIMES)
-        q, dq = np.split(phase.states(shares), 2)
-        return cls(q, dq, phase.controls(shares), phase.duration)
+        shares, m = np.linspace(0, 1, TIMES), len(design.task.moving)
+        x = phase.states(shares)
+        return cls(x[:m], x[m : 2 * m], design.accelerations(x, phase.controls(shares)), phase.duration)
 
     @classmethod
     def at_rest(cls, q: np.ndarray) -> "HeldMotion":

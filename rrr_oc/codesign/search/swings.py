@@ -27,21 +27,24 @@ def turns(angle: np.ndarray) -> list[int]:
     return [*found, len(angle) - 1]
 
 
-def with_other_swings(phase: PhaseGuess, joints: int, duration: tuple[float, float]) -> list[PhaseGuess]:
+def with_other_swings(
+    phase: PhaseGuess, orders: tuple[np.ndarray, np.ndarray], duration: tuple[float, float]
+) -> list[PhaseGuess]:
     """The motion of a phase with one swing of a joint run through twice, and with one left out, for every swing.
 
     Args:
-        joints: Number of joints, whose angles and speeds are the first states.
+        orders: How often states and controls are derived by time (nx,), (nu,); there are as many joints, whose angles are the
+            first states, as controls.
         duration: Least and greatest duration of the phase [s], to which times are scaled where they are outside.
     """
     s = np.linspace(0, 1, POINTS)
-    motion = s * phase.duration, phase.states(s), phase.controls(s)
+    motion, joints = (s * phase.duration, phase.states(s), phase.controls(s)), len(orders[1])
     made = []
     for start, end in _swings(motion[1][:joints]):
         made.append(_repeated(motion, start, end, joints))
         if end - start < POINTS - 1:
             made.append(_left_out(motion, start, end, joints))
-    return [_guess(one, joints, duration) for one in made]
+    return [_guess(one, orders, duration) for one in made]
 
 
 def _swings(q: np.ndarray) -> Iterator[tuple[int, int]]:
@@ -84,13 +87,12 @@ def _left_out(motion: _Sampled, start: int, end: int, joints: int) -> _Sampled:
     )
 
 
-def _guess(motion: _Sampled, joints: int, duration: tuple[float, float]) -> PhaseGuess:
+def _guess(motion: _Sampled, orders: tuple[np.ndarray, np.ndarray], duration: tuple[float, float]) -> PhaseGuess:
     """A sampled motion as a starting point, run through within some durations [s]."""
     t, x, u = motion
     T = float(np.clip(t[-1], *duration))
     faster, times = t[-1] / T, t / t[-1]
-    x[joints : 2 * joints] *= faster
-    u = u * faster**2
+    x, u = (values * faster ** order[:, None] for values, order in zip((x, u), orders, strict=True))
 
     def between(values: np.ndarray, s: np.ndarray) -> np.ndarray:
         return np.array([np.interp(s, times, row) for row in values])

@@ -44,8 +44,9 @@ class SpringCost:
         solution, m = Solution(t, w, empty, empty, 0.0, SOLVED, 0, 0.0), len(self.design.task.moving)
         phases = []
         for i, (block, fractions) in enumerate(zip(t.blocks, t.mesh, strict=True)):
-            x, u = solution.values[block.stage_x].reshape(2 * m, -1), solution.controls(i).reshape(m, -1)
-            columns = [x[:m], x[m:], u, np.full((1, x.shape[1]), self.design.task.payloads[i])]
+            x = solution.values[block.stage_x].reshape(len(block.stage_x), -1)
+            ddq = self.design.accelerations(x, solution.controls(i).reshape(m, -1))
+            columns = [x[:m], x[m : 2 * m], ddq, np.full((1, x.shape[1]), self.design.task.payloads[i])]
             torques = self.design.torques(*columns, self.design.engaged(i, parameters), self.widths)
             columns.append(np.array(torques[0]) + np.array(torques[1]))
             phases.append((columns, (solution.durations[i] * t.scheme.b[:, None] * fractions).ravel()))
