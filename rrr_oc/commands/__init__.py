@@ -6,6 +6,7 @@ in `rrr-oc` by its row in `COMMANDS`. `shared` has what several of them need.
 Imports everything else; a module here imports at its top what its options need, and the rest where the command runs, within
 `ends_at_once`."""
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -17,6 +18,7 @@ from rrr_oc.errors import STATUSES, ends_at_once
 
 # Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
 COMMANDS = {
+    "demo": ("tour.demo", "A tour in about a minute: the diagnosis of an arm with hidden physics, and a spring for it."),
     "init": ("init", "Commented example files for an arm, and the next commands."),
     "design": ("design", "Springs and motion of a task, designed together."),
     "check": ("check", "Signs, order, units and clocks of a recording set's columns, and what its motions do not show."),
@@ -53,6 +55,12 @@ def load(name: str) -> Any:
     with ends_at_once():
         module = import_module(f"{__name__}.{COMMANDS[name][0]}")
     return typer.main.get_command(module.app)
+
+
+def run(words: Sequence[str]) -> None:
+    """Run a command as it would be typed behind `rrr-oc`, in this process; errors are exceptions."""
+    name, *rest = words
+    load(name).main(list(rest), prog_name=f"rrr-oc {name}", standalone_mode=False)
 
 
 def _version(asked: bool) -> None:

@@ -354,7 +354,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        (["d"], {"design", "diagnose"}),
+        (["d"], {"demo", "design", "diagnose"}),
         (["import", ""], {"prototype", "ros", "csv", "arrays", "lerobot"}),
         (["design", "--co"], {"--configurations", "--cost"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
