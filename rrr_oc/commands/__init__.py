@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rrr_oc import __version__
-from rrr_oc.errors import STATUSES, ends_at_once
+from rrr_oc.errors import STATUSES, UserError, ends_at_once
 
 # Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
 COMMANDS = {
@@ -58,9 +58,12 @@ def load(name: str) -> Any:
 
 
 def run(words: Sequence[str]) -> None:
-    """Run a command as it would be typed behind `rrr-oc`, in this process; errors are exceptions."""
+    """Run a command as it would be typed behind `rrr-oc`, in this process; raises `UserError` for values that an option does not take."""
     name, *rest = words
-    load(name).main(list(rest), prog_name=f"rrr-oc {name}", standalone_mode=False)
+    try:
+        load(name).main(list(rest), prog_name=f"rrr-oc {name}", standalone_mode=False)
+    except typer.BadParameter as error:
+        raise UserError(error.format_message()) from None
 
 
 def _version(asked: bool) -> None:

@@ -24,17 +24,18 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no tables, notes and
 Json = Annotated[bool, typer.Option("--json", help="the result as JSON on stdout in place of tables")]
 
 
-_shows_results = ContextVar("shows results", default=True)
+_kept_results: ContextVar[list[Any] | None] = ContextVar("kept results", default=None)
 
 
 @contextmanager
-def progress_alone() -> Iterator[None]:
-    """Within this block commands tell their progress and notes, but show no results: whoever runs them shows what matters."""
-    before = _shows_results.set(False)
+def progress_alone() -> Iterator[list[Any]]:
+    """Within this block commands tell their progress and notes, but show no results: these go to a list, which is yielded, as plain data."""
+    results: list[Any] = []
+    before = _kept_results.set(results)
     try:
-        yield
+        yield results
     finally:
-        _shows_results.reset(before)
+        _kept_results.reset(before)
 
 
 class TimeLeft:
@@ -80,11 +81,15 @@ class Output:
 
     def show(self, shown: Any) -> None:
         """A table, or a sentence that is not broken into lines, for people."""
-        if _shows_results.get() and not (self.quiet or self.as_json):
+        if _kept_results.get() is None and not (self.quiet or self.as_json):
             self._result.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
 
     def result(self, content: Any) -> None:
         """The result for programs, of plain data without NaN."""
+        kept = _kept_results.get()
+        if kept is not None:
+            kept.append(content)
+            return
         if self.as_json:
             typer.echo(printable(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)))
 

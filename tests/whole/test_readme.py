@@ -1,12 +1,14 @@
-"""The commands of README.md, one after the other, in an empty folder: they begin with the demo, and need nothing else."""
+"""The commands of README.md, one after the other, in an empty folder: they begin with the demo, and need nothing else. Then the scripts
+of docs/python.md."""
 
 import json
 import shlex
 import sys
+from types import SimpleNamespace
 
 import mujoco
 import pytest
-from doc_pages import ROOT, code
+from doc_pages import ROOT, blocks, code
 from PIL import Image
 
 from rrr_oc import cli
@@ -59,3 +61,27 @@ def test_the_demo_designs_a_spring_and_shows_it(done):
     assert found["PEA"]["cost"] < 0.5 * found["SA"]["cost"]
     with Image.open(folder / "demo/design.gif") as picture:
         assert picture.n_frames > 20  # type: ignore[attr-defined]
+
+
+QUICK = 'starts=1, motions=0, intervals=16, tolerance=1e-2, cycle_times="none", quiet=True'
+
+
+def test_the_scripts_of_the_page_on_python_run(done, monkeypatch, capsys):
+    """Each of at most ten lines; a table of pandas is its columns and rows here."""
+    monkeypatch.chdir(done[0])
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (columns, rows)))
+    scripts = [text for language, text in blocks((ROOT / "docs" / "python.md").read_text()) if language == "python"]
+    assert [len(text.split("\n")) <= 11 for text in scripts] == [True] * 3
+    said = []
+    for text in scripts:
+        assert text.count("starts=6") == text.count("rrr_oc.design")
+        exec(compile(text.replace("starts=6", QUICK), "docs/python.md", "exec"), {"__name__": "__main__"})
+        said.append(capsys.readouterr().out)
+    costs = [[float(x) for x in line.split()[2:4]] for line in said[0].splitlines()]
+    assert len(costs) == 3
+    assert all(sprung < 0.5 * stiff for stiff, sprung in costs)
+    assert costs[0][0] < costs[1][0] < costs[2][0]  # the heavier, the more
+    assert "lacks cable harness of elbow" in said[1]
+    assert "'elbow', 'rest', 17." in said[1]  # in degrees
+    assert (done[0] / "prediction.png").stat().st_size > 10_000
+    assert "arm.xml" in said[2]
