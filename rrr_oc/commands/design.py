@@ -18,7 +18,7 @@ from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line
+from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line, note_without_compiler
 from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
@@ -97,6 +97,7 @@ def design(
     )  # fmt: skip
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in FILES])
+    note_without_compiler(output)
     with parallel.workers(jobs, workers):
         _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 
