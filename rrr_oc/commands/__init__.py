@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rrr_oc import __version__
-from rrr_oc.errors import STATUSES, UserError, ends_at_once
+from rrr_oc.errors import STATUSES, UserError, ends_at_once, meant
 
 # Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
 COMMANDS = {
@@ -46,6 +46,8 @@ class Commands(TyperGroup):
         return TyperCommand(cmd_name, help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and (question := meant(args[0], COMMANDS)):
+            ctx.fail(f"No such command {args[0]!r}{question}")
         name, found, rest = super().resolve_command(ctx, args)
         return name, found and load(found.name or ""), rest
 

@@ -117,15 +117,17 @@ def _times(cycle_times: str | None) -> tuple[float, ...] | None:
 
 def _run(study: Study, output: Output, command: str) -> None:
     """Solve, write and show a study."""
-    began, found = time.perf_counter(), dict[str, Configuration]()
+    began, found, ended = time.perf_counter(), dict[str, Configuration](), False
     for note in study.tasks.first.robot.notes:
         output.note(f"Note: {note}.")
     try:
         for name, result in study.results():
             found[name] = result
+        ended = True
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            summary, text = write_study(study, found, time.perf_counter() - began, command)
+            unfinished = () if ended else study.unfinished(found)
+            summary, text = write_study(study, found, time.perf_counter() - began, command, unfinished)
             output.result(summary)
             output.show(Markdown(printable(text.split(f"## {CERTIFICATES}")[0])))
             output.show(

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from rrr_oc.commands import load as command
 from rrr_oc.commands import run
 from rrr_oc.commands.output import progress_alone
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.python.results import Design, Diagnosis, Export, Model, Recordings, Result, Simulation, Temporary
 from rrr_oc.recordings.header import HEADER
 from rrr_oc.recordings.reader import load_recordings
@@ -134,7 +134,7 @@ def _words(name: str, options: Mapping[str, Any]) -> list[str]:
     words = []
     for key, value in options.items():
         if key not in known:
-            raise UserError(f"{name}: unknown option {key!r}; allowed are {', '.join(known)}")
+            raise UserError(f"{name}: unknown option {key!r}; allowed are {', '.join(known)}{meant(key, known)}")
         if value is None:
             continue
         if known[key].is_flag:

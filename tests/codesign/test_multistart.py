@@ -250,6 +250,27 @@ def test_ctrl_c_while_springs_are_improved_keeps_what_was_found(monkeypatch):
     assert result.best.cost == pytest.approx(66.75, rel=2e-2)
 
 
+@pytest.mark.parametrize("step", ["_followed", "_with_best_motions", "_refined_close", "_with_other_swings"])
+def test_ctrl_c_after_the_coarse_mesh_keeps_the_best_and_refines_it(monkeypatch, step):
+    """Whichever step it interrupts; what follows is not begun, but for the refinement of the best. A second Ctrl-C ends that, too."""
+    whole, calls = getattr(multistart, step), []
+
+    def interrupted_once(*arguments):
+        calls.append(step)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(multistart, step, interrupted_once)
+    few = replace(OPTIONS, starts=2, motions=4, springs=2)
+    result = solve_multistart(PEA, few)
+    assert result.interrupted
+    assert len(result.best.meshes) > 1
+    assert result.best.cost == pytest.approx(66.75, rel=2e-2)
+    with pytest.raises(KeyboardInterrupt):
+        result.whole()
+
+
 def test_progress_sees_every_start():
     seen: list[Start] = []
     result = solve_multistart(PEA, replace(OPTIONS, starts=3, within=0.0), seen.append)
