@@ -18,6 +18,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.storage import new_files
 
 _FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
+COMPILERS = ("cc", "gcc", "clang")
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -27,18 +28,23 @@ def digest(*parts: str) -> str:
     return hashlib.sha256(key.encode()).hexdigest()[:24]
 
 
-def library(name: str, source: str, flags: tuple[str, ...] = (), otherwise: str = "") -> Path:
+def library(name: str, source: str, flags: tuple[str, ...] = ()) -> Path:
     """The library of this name, compiled from C unless the cache has it; `name` must change with source and flags.
 
     Raises:
         UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written or belongs to somebody
-            else. `otherwise` tells the user what works without.
+            else.
     """
-    command = _compiler(otherwise)
+    command = _compiler()
     path = _own(cache_folder()) / f"{name}-{digest(_version(command))[:8]}.so"
     if not _sound(path):
         _compile(command, source, (*flags, *_FLAGS), path)
     return path
+
+
+def available() -> bool:
+    """Whether there is a C compiler, or $CC names one; without it, generated code is evaluated by CasADi's virtual machine."""
+    return bool(os.environ.get("CC") or _found())
 
 
 def cache_folder() -> Path:
@@ -82,13 +88,18 @@ def _version(command: tuple[str, ...]) -> str:
     return shlex.join(command) + done.stdout
 
 
-def _compiler(otherwise: str) -> tuple[str, ...]:
+def _found() -> str | None:
+    """The first of the usual compilers that is on PATH."""
+    return next((name for name in COMPILERS if shutil.which(name)), None)
+
+
+def _compiler() -> tuple[str, ...]:
     chosen = os.environ.get("CC")
-    for command in [shlex.split(chosen)] if chosen else [["cc"], ["gcc"], ["clang"]]:
-        if command and shutil.which(command[0]):
-            return tuple(command)
-    tried = f"$CC = {chosen!r} is not on PATH" if chosen else "none of cc, gcc, clang is on PATH"
-    raise UserError(f"this needs a C compiler, but {tried}; install one{otherwise}")
+    command = shlex.split(chosen) if chosen else [name] if (name := _found()) else []
+    if command and shutil.which(command[0]):
+        return tuple(command)
+    tried = f"$CC = {chosen!r} is not on PATH" if chosen else f"none of {', '.join(COMPILERS)} is on PATH"
+    raise UserError(f"this needs a C compiler, but {tried}; install one{', or unset CC to do without' * bool(chosen)}")
 
 
 def _compile(command: tuple[str, ...], source: str, flags: tuple[str, ...], path: Path) -> None:

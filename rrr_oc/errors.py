@@ -6,7 +6,7 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -64,6 +64,16 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
             raise SystemExit(FAULT) from None
 
     return run
+
+
+def meant(name: str, allowed: Iterable[str]) -> str:
+    """A question behind a message on a wrong name: the allowed one that it is most like; nothing where there is none."""
+    from difflib import get_close_matches  # a moment, that nobody waits for without a mistake
+
+    known = list(allowed)
+    by_folded = {one.casefold(): one for one in known}
+    close = get_close_matches(name.casefold(), by_folded, 1)
+    return f". Did you mean {by_folded[close[0]]!r}?" if close else ""
 
 
 def reason(error: Exception) -> str:

@@ -6,6 +6,7 @@ take no such argument, and what they compute does not depend on it. Outside of `
 
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
@@ -34,6 +35,8 @@ def workers(jobs: int = -1, where: str = LOCAL) -> Iterator[None]:
         raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
     import joblib  # here and below, since it takes a moment, and help needs none of it
 
+    # Ctrl-C abandons calls that still run, as it should; joblib warns of the work that is lost.
+    warnings.filterwarnings("ignore", ".*You could benefit from adjusting the input task", UserWarning)
     if where == LOCAL:
         with joblib.parallel_config("loky", n_jobs=jobs, initializer=_end_with, initargs=(os.getpid(),)):
             yield

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec import Meta, inspect
 
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.storage import read_utf8
 
 T = TypeVar("T")
@@ -95,6 +95,7 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
     else:
         raise UserError(
             f"no {what} at {str(source)!r}; give the path of a JSON file or the name of a bundled one: {', '.join(presets)}"
+            f"{meant(str(source), presets)}"
         )
     return where, validated(where, without_free_text(parsed(where, text, LARGEST)), schema)
 
@@ -211,7 +212,7 @@ def check_names(found: Iterable[str], allowed: Iterable[str], where: str | Path,
     known = tuple(allowed)
     unknown = [name for name in found if name not in known]
     if unknown:
-        raise UserError(f"{where}: unknown {what} {unknown[0]!r}; allowed are {', '.join(known)}")
+        raise UserError(f"{where}: unknown {what} {unknown[0]!r}; allowed are {', '.join(known)}{meant(unknown[0], known)}")
 
 
 def check_interval(key: str, bounds: Interval | None) -> None:
@@ -263,7 +264,7 @@ def _fault(path: str, data: Any, schema: Any) -> tuple[str, str]:
         fields = {f.encode_name: f for f in msgspec.structs.fields(schema)}
         for key in data if schema.__struct_config__.forbid_unknown_fields else ():
             if key not in fields:
-                return path, f"unknown key {key!r}; allowed are {', '.join(fields)}"
+                return path, f"unknown key {key!r}; allowed are {', '.join(fields)}{meant(key, fields)}"
         required = [key for key, field in fields.items() if field.required]
         missing = [key for key in required if key not in data]
         if missing:

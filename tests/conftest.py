@@ -14,6 +14,7 @@ HERE = Path(__file__).parent
 # Files that take more than half a minute of processor time, longest first: they begin first, so that none is left at the end.
 LONGEST = (
     "whole/test_documented_commands.py",
+    "whole/test_readme.py",
     "codesign/test_task_sets.py",
     "diagnosis/test_links_and_payloads.py",
     "diagnosis/test_some_recordings.py",

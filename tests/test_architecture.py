@@ -8,7 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "rrr_oc"
 MAP = ROOT / "docs" / "architecture.md"
-START = {"cli": {"commands"}, "__main__": {"cli"}}  # where the command line begins, and what it hands over to
+# Where the command line and `import rrr_oc` begin, and what they hand over to
+START = {"cli": {"commands"}, "__main__": {"cli"}, "__init__": {"python"}}
 ROOT_MODULES = ("errors", "storage", "schema", "kept", "progress", "parallel", "compiler")  # which every folder may import
 VISIBLE = ("commands", "report")  # the only places that plot or print
 MODULES = sorted(PACKAGE.rglob("*.py"))

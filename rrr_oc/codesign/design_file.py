@@ -14,6 +14,7 @@ from rrr_oc.codesign.purchasable import Coverage
 from rrr_oc.codesign.search.motions import Covered
 from rrr_oc.storage import plain
 
+COMPARISON = "the comparison at equal cycle times"  # among what is unfinished
 FORMAT = "rrr_oc-design/1"
 T = TypeVar("T")
 
@@ -520,6 +521,7 @@ class DesignFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         versions: Of this program, Python and what results may depend on.
         options: Options of the search.
         configurations: The results by configuration; a star marks hardware of the catalogue.
+        unfinished: Configurations, and the comparison of all, that the study was ended before, as by Ctrl-C.
     """
 
     format: Literal["rrr_oc-design/1"] = FORMAT
@@ -539,6 +541,7 @@ class DesignFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     versions: dict[str, str]
     options: dict[str, Any]
     configurations: dict[str, Configuration]
+    unfinished: tuple[str, ...] = ()
 
     @property
     def single(self) -> bool:

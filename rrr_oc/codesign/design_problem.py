@@ -16,7 +16,7 @@ from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem, Side
 from rrr_oc.robot.drives import Actuators
@@ -76,7 +76,7 @@ class CoDesign:
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS:
-            raise UserError(f"unknown cost {self.cost!r}; there are {', '.join(COSTS)}")
+            raise UserError(f"unknown cost {self.cost!r}; there are {', '.join(COSTS)}{meant(self.cost, COSTS)}")
         if self.cost != "load" and self.actuators is None:
             raise UserError(f"cost {self.cost!r} needs the actuators of {', '.join(self.task.joints)}")
         if self.cost == "energy" and self.actuators is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from rrr_oc.codesign.task import Task, overloads
 from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.kept import Listener
 from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
 from rrr_oc.storage import plain
@@ -110,7 +110,9 @@ def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The same, mounted by default where the task leaves that open."""
     kinds = configurations().get(configuration)
     if kinds is None:
-        raise UserError(f"unknown configuration {configuration!r}; it is {allowed_configurations()}")
+        raise UserError(
+            f"unknown configuration {configuration!r}; it is {allowed_configurations()}{meant(configuration, configurations())}"
+        )
     springs = [_spring(task, kind, given) for kind, given in _entries(task) if kind.name in kinds]
     places = [(s.effect.name, s.effect.joints) for s in springs]
     for spring in springs:

@@ -21,7 +21,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, can_be_bought, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
-from rrr_oc.codesign.design_file import Configuration, Foreseen, Transferred, data, typed
+from rrr_oc.codesign.design_file import COMPARISON, Configuration, Foreseen, Transferred, data, typed
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.optimum import (
     SAVED,
@@ -228,6 +228,18 @@ class Study:
         if self.single and self.request.price is None:
             yield from _beside_others(self, found).items()
 
+    def unfinished(self, found: Mapping[str, Configuration]) -> tuple[str, ...]:
+        """What is missing among the results of a study that has not come to its end."""
+        done = [name for name in self.designs if name in found and not found[name].interrupted]
+        missing = [name for name in self.designs if name not in done]
+        if self.shop is not None:
+            bought = (name for name in self.designs if can_be_bought(self.designs[name][0].first))
+            missing += [f"{n}*" for n in bought if f"{n}*" not in found and (n not in done or found[n].not_bought is None)]
+        compared = self.single and self.request.price is None and self.request.cycle_times != ()
+        if compared and not any(found[name].at_cycle_times for name in done):
+            missing.append(COMPARISON)
+        return tuple(missing)
+
 
 def files_of(name: str, tasks: int) -> list[str]:
     """Names of the npz with the motion of each task in a configuration."""
@@ -372,8 +384,8 @@ def _results(
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
     solved = _once(study, name, partial(_solve, study, name, ways, before))
     yield name, solved
-    if solved.interrupted:
-        return
+    if solved.interrupted:  # by Ctrl-C, which ends the study
+        raise KeyboardInterrupt
     design = _chosen(ways, solved)
     solved = _compared(study, name, design, solved)
     yield name, solved

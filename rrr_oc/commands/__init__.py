@@ -6,6 +6,7 @@ in `rrr-oc` by its row in `COMMANDS`. `shared` has what several of them need.
 Imports everything else; a module here imports at its top what its options need, and the rest where the command runs, within
 `ends_at_once`."""
 
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -13,10 +14,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from rrr_oc import __version__
-from rrr_oc.errors import STATUSES, ends_at_once
+from rrr_oc.errors import STATUSES, UserError, ends_at_once, meant
 
 # Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
 COMMANDS = {
+    "demo": ("tour.demo", "A tour in about a minute: the diagnosis of an arm with hidden physics, and a spring for it."),
     "init": ("init", "Commented example files for an arm, and the next commands."),
     "design": ("design", "Springs and motion of a task, designed together."),
     "check": ("check", "Signs, order, units and clocks of a recording set's columns, and what its motions do not show."),
@@ -44,6 +46,8 @@ class Commands(TyperGroup):
         return TyperCommand(cmd_name, help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and (question := meant(args[0], COMMANDS)):
+            ctx.fail(f"No such command {args[0]!r}{question}")
         name, found, rest = super().resolve_command(ctx, args)
         return name, found and load(found.name or ""), rest
 
@@ -53,6 +57,15 @@ def load(name: str) -> Any:
     with ends_at_once():
         module = import_module(f"{__name__}.{COMMANDS[name][0]}")
     return typer.main.get_command(module.app)
+
+
+def run(words: Sequence[str]) -> None:
+    """Run a command as it would be typed behind `rrr-oc`, in this process; raises `UserError` for values that an option does not take."""
+    name, *rest = words
+    try:
+        load(name).main(list(rest), prog_name=f"rrr-oc {name}", standalone_mode=False)
+    except typer.BadParameter as error:
+        raise UserError(error.format_message()) from None
 
 
 def _version(asked: bool) -> None:

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, unexplained_torques
+from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, note_without_compiler, unexplained_torques
 from rrr_oc.errors import ends_at_once
 from rrr_oc.storage import check_folder
 
@@ -56,6 +56,8 @@ def calibrate(
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / "model.json"])
     doubted(recordings, output)
+    if way != Way.inverse:
+        note_without_compiler(output)
     model = ways[way](recordings)
     save_model(model, out / "model.json")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))

@@ -18,7 +18,7 @@ from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line
+from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line, note_without_compiler
 from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
@@ -113,6 +113,7 @@ def design(
     )  # fmt: skip
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in FILES])
+    note_without_compiler(output)
     with parallel.workers(jobs, workers):
         _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 
@@ -132,15 +133,17 @@ def _times(cycle_times: str | None) -> tuple[float, ...] | None:
 
 def _run(study: Study, output: Output, command: str) -> None:
     """Solve, write and show a study."""
-    began, found = time.perf_counter(), dict[str, Configuration]()
+    began, found, ended = time.perf_counter(), dict[str, Configuration](), False
     for note in study.tasks.first.robot.notes:
         output.note(f"Note: {note}.")
     try:
         for name, result in study.results():
             found[name] = result
+        ended = True
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            summary, text = write_study(study, found, time.perf_counter() - began, command)
+            unfinished = () if ended else study.unfinished(found)
+            summary, text = write_study(study, found, time.perf_counter() - began, command, unfinished)
             output.result(summary)
             output.show(Markdown(printable(text.split(f"## {CERTIFICATES}")[0])))
             output.show(

@@ -19,6 +19,7 @@ from rrr_oc.commands.shared import (
     command_line,
     doubted,
     loaded,
+    note_without_compiler,
     shown,
     unexplained_torques,
 )
@@ -67,6 +68,8 @@ def diagnose(
     recordings = loaded(dataset, output)
     check_apart([*recordings.files, *([] if priors is None else [priors])], [out / name for name in FILES])
     doubted(recordings, output)
+    if simulate:
+        note_without_compiler(output)
     asked = {"recordings": hash_of(recordings.files), "priors": None if priors is None else hash_of([priors])}
     kept = Keeping(out, asked | {"version": __version__, "code": code()}, output)
     with parallel.workers(jobs, workers), output.stages() as tell, parallel.one_thread():

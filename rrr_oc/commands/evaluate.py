@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
+from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded, note_without_compiler
 from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
@@ -42,6 +42,8 @@ def evaluate(
     written = [] if out is None else [out]
     written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
     check_apart([model, *recordings.files], written)
+    if simulate:
+        note_without_compiler(output)
     inverse = evaluate_inverse(calibrated, recordings, window)
     simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
     result = summary(inverse, simulated)

@@ -15,7 +15,7 @@ from rrr_oc.codesign.transfer import of_all_joints, uncalibrated, unknown_joints
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.simulation.export import mjcf, urdf
@@ -116,7 +116,7 @@ def _trajectories(
     names = [name.strip() for name in formats.split(",")]
     for name in names:
         if name not in FORMATS:
-            raise UserError(f"--trajectory: unknown format {name!r}; allowed are {', '.join(FORMATS)}")
+            raise UserError(f"--trajectory: unknown format {name!r}; allowed are {', '.join(FORMATS)}{meant(name, FORMATS)}")
     found = sampled(saved_motion(design.parent / f"{configuration}.npz", task), task, rate)
     return {out / f"trajectory.{FORMATS[name][0]}": FORMATS[name][1](found) for name in names}
 

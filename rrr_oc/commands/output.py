@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any
@@ -21,6 +22,20 @@ LINE_EVERY = 10.0  # [s] between two lines of a count where there is no terminal
 LEAST_DONE = 0.05  # share of a computation from which the time that is left is told; twice as much: told later, and better
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no tables, notes and progress, only errors")]
 Json = Annotated[bool, typer.Option("--json", help="the result as JSON on stdout in place of tables")]
+
+
+_kept_results: ContextVar[list[Any] | None] = ContextVar("kept results", default=None)
+
+
+@contextmanager
+def progress_alone() -> Iterator[list[Any]]:
+    """Within this block commands tell their progress and notes, but show no results: these go to a list, which is yielded, as plain data."""
+    results: list[Any] = []
+    before = _kept_results.set(results)
+    try:
+        yield results
+    finally:
+        _kept_results.reset(before)
 
 
 class TimeLeft:
@@ -66,11 +81,15 @@ class Output:
 
     def show(self, shown: Any) -> None:
         """A table, or a sentence that is not broken into lines, for people."""
-        if not (self.quiet or self.as_json):
+        if _kept_results.get() is None and not (self.quiet or self.as_json):
             self._result.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
 
     def result(self, content: Any) -> None:
         """The result for programs, of plain data without NaN."""
+        kept = _kept_results.get()
+        if kept is not None:
+            kept.append(content)
+            return
         if self.as_json:
             typer.echo(printable(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)))
 

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from rrr_oc import compiler
 from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError, ends_at_once
 from rrr_oc.model.metrics import WORTHLESS
@@ -52,6 +53,19 @@ def command_line(context: typer.Context) -> str:
         else:
             words += [parameter.opts[0], str(value)]
     return shlex.join(words)
+
+
+_noted: list[bool] = []  # whether this process has said that there is no compiler
+
+
+def note_without_compiler(output: Output) -> None:
+    """Say once that there is no C compiler, where generated code would run."""
+    if not (compiler.available() or _noted):
+        _noted.append(True)
+        output.note(
+            f"Note: there is no C compiler on PATH ({', '.join(compiler.COMPILERS)}); CasADi's virtual machine takes its place. "
+            "Results are the same; solves and simulations take longer, several times at worst."
+        )
 
 
 def check_window(window: float) -> None:

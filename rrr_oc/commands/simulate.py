@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
+from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded, note_without_compiler
 from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_folder
@@ -37,6 +37,7 @@ def simulate(
     recordings = loaded(dataset, output)
     calibrated = load_model(model)
     check_apart([model, *recordings.files], [out / r.file for r in recordings.recordings])
+    note_without_compiler(output)
     with output.steps("tracking the recordings"):
         found = simulated(calibrated, recordings)
     write_simulated(found, calibrated.joints, out)

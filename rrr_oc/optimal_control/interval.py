@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse
 
-from rrr_oc.compiler import digest, library
+from rrr_oc.compiler import available, digest, library
 from rrr_oc.optimal_control.problem import Phase
 from rrr_oc.optimal_control.scatter import multiplied, nonzeros_of
 from rrr_oc.optimal_control.scheme import Scheme
@@ -62,7 +62,7 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bo
         ca.Function("jacobian", [z, h, d], [slopes.nz[:]]),
         hessian,
     ]
-    value, gradient, jacobian, hessian = _as_c(functions) if compiled else functions
+    value, gradient, jacobian, hessian = _as_c(functions) if compiled and available() else functions
     return Interval(rows.numel(), value, gradient, jacobian, nonzeros_of(slopes.sparsity()), hessian, hessian_at)
 
 

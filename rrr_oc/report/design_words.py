@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, OfMotors, Priced, Quantity
+from rrr_oc.codesign.design_file import COMPARISON, Bought, Choice, Configuration, DesignFile, Foreseen, Moved, OfMotors, Priced, Quantity
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -121,6 +121,8 @@ def verdict(study: DesignFile) -> str:
     if best is None or (stiff is not None and stiff.cost < found[best].cost):
         name, c = min(found.items(), key=lambda item: item[1].cost)
         some = "no configuration with springs was asked for"
+        if left := [n for n in study.unfinished if n not in ("SA", COMPARISON)]:
+            some = f"the study was ended before {listed(left)} {'were' if len(left) > 1 else 'was'} designed"
         if any(c.springs for c in found.values()):
             some = f"no springs help {'this task' if study.single else 'these tasks'}"
         return f"{name} costs {quantity.name} = {_cost(c, quantity)}; {some}."
@@ -528,7 +530,8 @@ def symbols(found: Found) -> list[tuple[str, str]]:
 def cautions(study: DesignFile) -> list[str]:
     """What a reader should know before using the results, a sentence each; none where there is nothing."""
     found = study.configurations
-    said = [f"{name}: {sentence}." for name, c in found.items() for sentence in _of_configuration(c)]
+    said = [f"Unfinished: {listed(study.unfinished)}. The same command goes on with it."] if study.unfinished else []
+    said += [f"{name}: {sentence}." for name, c in found.items() for sentence in _of_configuration(c)]
     fewer = [
         f"{study.options[key]} {what} in the place of {n}" for key, (n, what) in USUAL.items() if study.options.get(key, n) < n
     ]

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from rrr_oc import __version__
 from rrr_oc.codesign.design_file import Configuration, DesignFile, Quantity, TaskAsked, Unsure, data, typed
@@ -31,15 +32,18 @@ FILES = ("summary.json", "report.md", "report.html", *(f"{name}.png" for name in
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
 
 
-def write_study(study: Study, found: Mapping[str, Configuration], wall_s: float, command: str) -> tuple[dict[str, Any], str]:
+def write_study(
+    study: Study, found: Mapping[str, Configuration], wall_s: float, command: str, unfinished: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], str]:
     """Write summary.json, report.md, the motions, the profiles of springs, the figures and report.html of the results found, all in
     one step, in place of those of an earlier run; returns the first two's content.
 
     Args:
         wall_s: How long it took [s].
         command: What makes the study again.
+        unfinished: What is missing, where the study was ended before.
     """
-    content = summary(study, found, wall_s, command)
+    content = replace(summary(study, found, wall_s, command), unfinished=unfinished)
     text, task = report(content), study.tasks.first
     with new_files(study.out, [*FILES, *_of_configurations()]) as made:
         for file in (file for name in found for file in files_of(name, len(study.tasks.tasks))):

@@ -8,6 +8,8 @@ The callback runs at every evaluation of the dynamics, so at every stage of RK4,
 that depend on them or on the load torque need them: the code solves the equations of motion for them, with the actuators' torque
 and the friction and armature of the joints in the engine; behind an elastic gear it uses the accelerations of one step before.
 Internal states are activations of actuators without force; the callback sets their controls, which are the states' rates.
+
+Without a C compiler the callback is one of Python, and CasADi's virtual machine evaluates the same expressions: some 50 times slower.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -15,18 +17,18 @@ Internal states are activations of actuators without force; the callback sets th
 
 import ctypes
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import mujoco
 import numpy as np
 
-from rrr_oc.compiler import digest, library
+from rrr_oc.compiler import available, digest, library
 from rrr_oc.effects import MotionShift, Signals, WithStates
 from rrr_oc.errors import UserError
 from rrr_oc.model.parameters import offsets
@@ -96,15 +98,70 @@ class EffectLibrary:
 
     Attributes:
         marker: Name of the custom numeric field that holds the effects' values in models with these effects.
-        library: The loaded library; it stays loaded.
+        library: The loaded library, which stays loaded; None without a C compiler, where
+        law: is evaluated instead, see `law`.
+        sizes: Numbers of parameters and of widths.
     """
 
     marker: str
-    library: ctypes.CDLL
+    library: ctypes.CDLL | None = field(compare=False)
+    law: ca.Function = field(compare=False)
+    sizes: tuple[int, int] = field(compare=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, compare=False, repr=False)
+
+    @cached_property
+    def _buffers(self) -> tuple[list[np.ndarray], list[np.ndarray], Callable[[], None], Any]:
+        """Arguments and results of the law, what evaluates it with them, and what keeps them: a call takes a microsecond so."""
+        buffer, run = cast(Any, self.law.buffer())
+        given = [np.zeros(max(1, self.law.nnz_in(i))) for i in range(self.law.n_in())]
+        found = [np.zeros(max(1, self.law.nnz_out(i))) for i in range(self.law.n_out())]
+        for i, array in enumerate(given):
+            buffer.set_arg(i, memoryview(cast(Any, array)))
+        for i, array in enumerate(found):
+            buffer.set_res(i, memoryview(cast(Any, array)))
+        return given, found, run, buffer
+
+    def add(self, m: mujoco.MjModel, d: mujoco.MjData) -> None:
+        """What `add_effects` of `_WRAPPER` does, evaluated by CasADi: slower."""
+        at = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_NUMERIC, self.marker)
+        if at < 0:
+            return
+        n, values = self.law.size1_in(0), m.numeric_data[m.numeric_adr[at] :]
+        body, extra = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_BODY, PAYLOAD), sum(self.sizes)
+        payload = 0.0 if body < 0 else m.body_mass[body] - values[extra]
+        joints = m.actuator_trnid[:n, 0]
+        k, following = m.jnt_dofadr[joints], np.minimum(joints + 1, m.njnt - 1)
+        gear = (following > joints) & (m.jnt_bodyid[following] == m.jnt_bodyid[joints])
+        beyond = k + gear
+        q, dq, bias = d.qpos[k], d.qvel[k], m.actuator_biasprm[:n]
+        motor = d.act[:n] + bias[:, 1] * q + bias[:, 2] * dq
+        limits = m.actuator_forcerange[:n].T
+        motor = np.where(m.actuator_forcelimited[:n], np.minimum(np.maximum(motor, limits[0]), limits[1]), motor)
+        twist = (x[beyond] * gear for x in (d.qpos, d.qvel, d.qacc_warmstart))
+        angle, speed, acceleration = twist
+        joint = (m.dof_damping[k], m.dof_armature[k], m.dof_frictionloss[k])
+        states = (np.r_[angle, speed], np.r_[d.qacc_warmstart[k], acceleration])
+        numbers = (values[: self.sizes[0]], values[self.sizes[0] : extra], values[extra + 1 : extra + 1 + 10 * n])
+        with self._lock:  # threads may take turns within
+            given, found, run, _ = self._buffers
+            for array, value in zip(
+                given, (q, dq, d.time, m.opt.timestep, payload, motor, d.act[n:], *joint, *states, *numbers), strict=True
+            ):
+                if np.size(value):
+                    array[:] = value
+            run()
+            link, drive, rates = (x.copy() for x in found)
+        d.qfrc_damper[k] += drive
+        d.qfrc_passive[k] += drive
+        for where, torque in ((k, link), (beyond[gear], link[gear])):
+            d.qfrc_spring[where] += torque
+            d.qfrc_passive[where] += torque
+        if m.nu > n:
+            d.ctrl[n : n + len(rates)] = rates
 
 
 def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> EffectLibrary:
-    """Effects of a model as a library, from the cache where it has been compiled before.
+    """Effects of a model as a library, from the cache where it has been compiled before; without a C compiler as CasADi evaluates them.
 
     The smoothed laws, with q, dq and time from mjData. Torques on the links are added to qfrc_passive and qfrc_spring, those in
     the drives to qfrc_passive and qfrc_damper.
@@ -113,7 +170,7 @@ def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Effec
         inside: Which of the effects, of the sides "link" and "drive", the library has. Default: those on the links.
 
     Raises:
-        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written.
+        UserError: $CC is no compiler, the compiler fails, or the cache cannot be written.
     """
     function = law(model, [e.side == "link" for e in model.effects] if inside is None else inside)
     generator = ca.CodeGenerator("effects", {"with_header": False})
@@ -122,15 +179,18 @@ def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Effec
     flags = ("-O2", f"-I{Path(str(mujoco.__file__)).parent / 'include'}")
     name = digest(code, _WRAPPER, mujoco.__version__, *flags)
     marker = f"rrr_oc:{name}"
+    counts = len(model.parameters), len(model.widths)
+    if not available():
+        return EffectLibrary(marker, None, function, counts)
     sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
     sizes |= {"n_theta": len(model.parameters), "n_widths": len(model.widths), "n_states": len(model.states)}
     wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, **sizes)
-    return EffectLibrary(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
+    return EffectLibrary(marker, _load(library(f"effects-{name}", code + wrapper, flags)), function, counts)
 
 
 @contextmanager
 def installed(*libraries: EffectLibrary) -> Iterator[None]:
-    """Within this context MuJoCo's passive callback runs the libraries; after it, the callback is restored.
+    """Within this context MuJoCo's passive callback runs the libraries, or what CasADi evaluates; after it, the callback is restored.
 
     Contexts nest; libraries of different models run beside each other and beside a C callback that was installed before.
 
@@ -168,17 +228,32 @@ def _add(libraries: tuple[EffectLibrary, ...]) -> None:
 
 
 def _link() -> None:
-    """Each active library calls the next one, the last one the callback that was installed before."""
+    """Each active library calls the next one, the last one the callback that was installed before; laws that are evaluated come first."""
     chain = list(dict.fromkeys(_active))
-    functions = [*(one.library.rrr_oc_passive for one in chain), _before[0]]
-    for one, following in zip(chain, functions[1:], strict=True):
+    compiled = [one for one in chain if one.library is not None]
+    functions = [*(one.library.rrr_oc_passive for one in compiled if one.library is not None), _before[0]]
+    for one, following in zip(compiled, functions[1:], strict=True):
         _set_next(one, following)
-    mujoco.set_mjcb_passive(functions[0])
+    evaluated = [one for one in chain if one.library is None]
+    mujoco.set_mjcb_passive(_evaluating(evaluated, functions[0]) if evaluated else functions[0])
+
+
+def _evaluating(laws: Sequence[EffectLibrary], following: Any) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
+    """A callback that adds the laws, and calls the function of C that follows."""
+
+    def passive(m: mujoco.MjModel, d: mujoco.MjData) -> None:
+        for one in laws:
+            one.add(m, d)
+        if following is not None:
+            following(ctypes.c_void_p(m._address), ctypes.c_void_p(d._address))
+
+    return passive
 
 
 def _set_next(one: EffectLibrary, function: Any) -> None:
-    address = None if function is None else ctypes.cast(function, ctypes.c_void_p).value
-    ctypes.c_void_p.in_dll(one.library, "rrr_oc_next").value = address
+    if one.library is not None:
+        address = None if function is None else ctypes.cast(function, ctypes.c_void_p).value
+        ctypes.c_void_p.in_dll(one.library, "rrr_oc_next").value = address
 
 
 def law(model: Model, inside: Sequence[bool]) -> ca.Function:

@@ -354,7 +354,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
-        (["d"], {"design", "diagnose"}),
+        (["d"], {"demo", "design", "diagnose"}),
         (["import", ""], {"prototype", "ros", "csv", "arrays", "lerobot"}),
         (["design", "--co"], {"--configurations", "--cost"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
@@ -367,3 +367,25 @@ def test_the_shell_completes_commands_and_options(typed, offered):
     done = subprocess.run([sys.executable, "-c", start], env={**os.environ, **asked}, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert set(done.stdout.split()) == offered
+
+
+@pytest.mark.parametrize(
+    ("command", "question"),
+    [
+        (["desing", "paper"], "No such command 'desing'. Did you mean 'design'?"),
+        (["design", "papper", "--out", "x"], "Did you mean 'paper'?"),
+        (["design", "paper", "--configurations", "SA,pea", "--out", "x"], "Did you mean 'PEA'?"),
+        (["design", "paper", "--cost", "enrgy", "--out", "x"], "Did you mean 'energy'?"),
+        (["design", "task.json", "--out", "x"], "Did you mean 'payload_kg'?"),
+    ],
+)
+def test_wrong_names_are_answered_with_the_most_like(command, question, monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("task.json").write_text('{"format": "rrr_oc-task/1", "paylod_kg": 2.0}')
+    assert run(monkeypatch, *command) == 2
+    assert question in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_a_name_that_is_like_none_gets_no_question(monkeypatch, capsys):
+    assert run(monkeypatch, "fly") == 2
+    assert "Did you mean" not in capsys.readouterr().err

@@ -392,6 +392,15 @@ def test_a_search_that_was_interrupted_is_said():
     assert any("was interrupted" in line for line in cautions(designs.summary(SA=designs.design(100.0, interrupted=True))))
 
 
+def test_what_an_interrupted_study_has_not_done_is_said():
+    left = ("PEA", "PEA+BPEA", "the comparison at equal cycle times")
+    study = structs.replace(designs.summary(SA=STIFF), unfinished=left)
+    told = "PEA, PEA+BPEA and the comparison at equal cycle times"
+    assert cautions(study)[0] == f"Unfinished: {told}. The same command goes on with it."
+    assert verdict(study).endswith("the study was ended before PEA and PEA+BPEA were designed.")
+    assert verdict(structs.replace(study, unfinished=())).endswith("no configuration with springs was asked for.")
+
+
 def test_what_a_reader_should_know_of_a_set_names_the_task():
     """A spring that does nothing in one task alone is no reason to warn; one that does nothing in any is."""
     some = {"a": designs.moved(60.0, idle=IDLE, beyond={"table_spring[b]": "known from 0° to 9°"}), "b": designs.moved(40.0)}

@@ -275,15 +275,71 @@ def test_models_without_the_marker_are_untouched():
         np.testing.assert_array_equal(roll([bare], initial, 0), before)
 
 
-@pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
-def test_no_compiler(monkeypatch, tmp_path, compiler):
+def without_compiler(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """No compiler on PATH, and nothing in the cache."""
+    patch.setenv("XDG_CACHE_HOME", str(folder))
+    patch.setenv("PATH", str(folder))
+    patch.delenv("CC", raising=False)
+
+
+def test_a_compiler_that_is_named_and_missing_is_an_error(monkeypatch, tmp_path):
     model, theta = spring_arm()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setenv("CC", compiler) if compiler else monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(UserError, match="needs a C compiler"):
+    without_compiler(monkeypatch, tmp_path)
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(UserError, match=r"needs a C compiler, but .* unset CC to do without"):
         twin(model, theta)
     assert twin(model, theta, settings=NATIVE).library is None
+
+
+ALIKE = {  # effects of all kinds that the callback treats in ways of their own, with their parameters
+    "springs": (spring_arm()[0].effects, spring_arm()[1]),
+    "load and state": (
+        (CATALOGUE["load_dependent_friction"]((1,)), CATALOGUE["presliding_hysteresis"]((2,)), CATALOGUE["payload_mass"](())),
+        None,
+    ),
+    "elastic gear": (
+        (CATALOGUE["joint_elasticity"]((1,)), CATALOGUE["load_dependent_friction"]((1,)), CATALOGUE["torque_ripple"]((2,))),
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ALIKE)
+def test_without_a_compiler_the_same_laws_are_evaluated(monkeypatch, tmp_path, kind):
+    """200 steps by C and by CasADi's virtual machine, which evaluate in another order: rounding grows along a motion."""
+    effects, theta = ALIKE[kind]
+    robot = load_robot("rrr")
+    model = Model(robot, robot.tool, tuple(effects))
+    theta = np.array([p.nominal or 0.1 for e in effects for p in e.parameters]) if theta is None else theta
+    found = []
+    for patched in (False, True):
+        if patched:
+            without_compiler(monkeypatch, tmp_path)
+        engine = twin(model, theta)
+        assert engine.library is not None
+        assert (engine.library.library is None) == patched
+        engine.set_payload(2.0)
+        rng, states = np.random.default_rng(3), engine.mj.na - 3
+        start = np.hstack([np.zeros((2, 1)), rng.uniform(-1, 1, (2, 2 * engine.mj.nv)), np.zeros((2, 3 + states))])
+        with engine.effects():
+            found += [roll([engine, engine], start, 0), roll([engine, engine], start, 2)]
+        still = roll([engine], start[:1], 0)
+        assert np.abs(still - found[-1][:1]).max() > 1e-3  # the effects do something
+    np.testing.assert_array_equal(found[2], found[3])
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-7, atol=1e-7)
+
+
+def test_evaluated_laws_run_beside_compiled_ones(monkeypatch, tmp_path):
+    model, theta = spring_arm()
+    compiled = twin(model, theta)
+    without_compiler(monkeypatch, tmp_path)
+    evaluated = twin(Model(model.robot, model.tool, model.effects[:1]), theta[:2])
+    q = np.array([0.0, 1.0, -2.0])
+    with compiled.effects(), evaluated.effects(), evaluated.effects():
+        np.testing.assert_allclose(passive(evaluated, q), [0, theta[0] * (theta[1] - 1), 0], atol=ROUNDING)
+        np.testing.assert_allclose(passive(compiled, q), exact_law(q, theta)[0], atol=1e-3)
+    assert mujoco.get_mjcb_passive() is None
+    assert np.all(passive(evaluated, q) == 0)
 
 
 def test_cache(monkeypatch, tmp_path):

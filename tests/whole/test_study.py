@@ -19,9 +19,11 @@ from own_arm import OWN, PAPER, own_model, own_task, with_robot
 
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign import study as steps
+from rrr_oc.codesign.design_file import COMPARISON
 from rrr_oc.codesign.springs import arrangements, saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import design as design_command
+from rrr_oc.effects.words import listed
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.report import study_files
@@ -403,6 +405,23 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     assert list(again) == ["PEA", "PEA*"]
     assert again["PEA"]["cost"] == first["PEA"]["cost"]
     assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)
+
+
+def test_a_study_that_is_interrupted_says_what_is_unfinished(monkeypatch, tmp_path):
+    command = [*OWN, "--configurations", "SA,PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
+    command += ["--out", str(tmp_path / "results")]
+    unfinished = {"_buy": ["PEA*", COMPARISON], "_compared_at_times": [COMPARISON]}
+    for step, left in unfinished.items():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(steps, step, failing(KeyboardInterrupt()))
+            assert run(study, patch, *command) == 130
+        assert json.loads((tmp_path / "results" / "summary.json").read_text())["unfinished"] == left
+        assert (
+            f"**Unfinished: {listed(left)}. The same command goes on with it.**"
+            in (tmp_path / "results" / "report.md").read_text()
+        )
+    assert run(study, monkeypatch, *command) == 0
+    assert json.loads((tmp_path / "results" / "summary.json").read_text())["unfinished"] == []
 
 
 WRONG_SIDE = {"effect": "parallel_spring", "joint": "j2", "stiffness_Nm_per_rad": [1, 20], "equilibrium_deg": [-180, -100]}

@@ -79,7 +79,7 @@ def solve_multistart(
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
     fine one, the best motions for their springs are looked for phase by phase, the best optima are refined, and motions with a swing
-    more or less are tried. Ctrl-C on the coarse mesh ends the search early with what has been found.
+    more or less are tried. Ctrl-C ends the search early with what has been found, of which the best optimum is refined.
 
     Args:
         known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
@@ -92,8 +92,8 @@ def solve_multistart(
     """
     options, progress = options or SearchOptions(), Progress(SHARES, report)
     found = coarse or coarse_search([design], options, progress, polished=polished)
-    optima = _best_optima(found, known, progress)
-    return SearchResult(design, optima, found.starts, found.interrupted, found.search.covered if found.search else Covered())
+    optima, interrupted = _best_optima(found, known, progress)
+    return SearchResult(design, optima, found.starts, interrupted, found.search.covered if found.search else Covered())
 
 
 def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
@@ -111,23 +111,33 @@ def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptio
     return found
 
 
-def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> tuple[Optimum, ...]:
-    """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first."""
+def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> tuple[tuple[Optimum, ...], bool]:
+    """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first. And whether
+    Ctrl-C ended the search: then the best optimum that was known is refined, and nothing more is looked for."""
     design, options = found.polisher.design, found.polisher.options
-    search = None if found.interrupted else found.search
+    search, interrupted = None if found.interrupted else found.search, found.interrupted
     progress.tell("fine mesh")
-    some = moving_apart(found.optima, 1 if found.interrupted else options.kept)
-    guesses = [*(o.solution.guess() for o in some), *known]
-    optima = _followed(design, options, guesses, [o.reached for o in some])
+    some = moving_apart(found.optima, 1 if interrupted else options.kept)
+    guesses, reached = [*(o.solution.guess() for o in some), *known], [o.reached for o in some]
+    try:
+        optima = _followed(design, options, guesses, reached)
+    except KeyboardInterrupt:
+        interrupted, search = True, None
+        optima = _followed(design, options, guesses[:1], reached[:1])
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
-    if search is not None:
-        optima = _with_best_motions(search, optima, progress)
-    progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
-    optima = _refined_close(design, options, optima, FEW, options.within)
-    if search is not None:
-        optima = _with_other_swings(search, optima, progress)
-    return tuple(_refined_close(design, options, optima, options.refinement.rounds, options.within / 5))
+    try:
+        if search is not None:
+            optima = _with_best_motions(search, optima, progress)
+        progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
+        optima = _refined_close(design, options, optima, FEW, options.within)
+        if search is not None:
+            optima = _with_other_swings(search, optima, progress)
+        optima = _refined_close(design, options, optima, options.refinement.rounds, options.within / 5)
+    except KeyboardInterrupt:
+        interrupted = True
+        optima = [*_refined_close(design, options, optima[:1], FEW, options.within), *optima[1:]]
+    return tuple(optima), interrupted
 
 
 def _refined_close(

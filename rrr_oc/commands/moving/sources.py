@@ -15,7 +15,7 @@ from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import loaded
 from rrr_oc.effects import Clutched, Signals
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, meant
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.moving.scene import Scene, ShownSpring
@@ -81,7 +81,7 @@ def chosen(recordings: RecordingSet, name: str | None) -> Recording:
     """The recording of a file, or the first; raises `UserError` for one that is not there."""
     every = {r.file: r for r in recordings.recordings}
     if name is not None and name not in every:
-        raise UserError(f"{recordings.path}: has no recording {name!r}; there are {', '.join(every)}")
+        raise UserError(f"{recordings.path}: has no recording {name!r}; there are {', '.join(every)}{meant(name, every)}")
     return every[name] if name is not None else recordings.recordings[0]
 
 

@@ -1,0 +1,1 @@
+"""The tour on an arm that comes with the package."""
