@@ -147,7 +147,12 @@ class Comparison:
         self.nominal = samples.recordings.inertial == "nominal"
 
     def nrmse(
-        self, reading: Reading, torque: np.ndarray | None = None, more: np.ndarray | float = 0.0, scale: np.ndarray | float = 1.0
+        self,
+        reading: Reading,
+        torque: np.ndarray | None = None,
+        more: np.ndarray | float = 0.0,
+        scale: np.ndarray | float = 1.0,
+        alone: bool = False,
     ) -> np.ndarray:
         """NRMSE of each joint's torque, (n,); NaN where it never changes.
 
@@ -155,10 +160,11 @@ class Comparison:
             torque: Takes the place of the recorded torques or commands, (n, K).
             more: Load torque beside the arm's [Nm], (n, K).
             scale: Of the torque as it is read, (n, 1).
+            alone: Whether the drives are alone, without an arm.
         """
         load, columns = self._motion(reading)
         tau = scale * self.samples.read(reading, self.samples.torque if torque is None else torque)
-        left = tau - load - more
+        left = tau - (not alone) * load - more
         return np.array([_error(left[j], tau[j], columns[j], self._rotors[j]) for j in range(len(tau))])
 
     @cached_property

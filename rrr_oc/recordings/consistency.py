@@ -10,7 +10,7 @@ import numpy as np
 
 from rrr_oc.recordings import mends
 from rrr_oc.recordings.comparison import Comparison, Reading, Samples
-from rrr_oc.recordings.mends import BAD, BETTER, GOOD, Hypothesis, torque_column
+from rrr_oc.recordings.mends import BAD, BETTER, CLEAN, GOOD, Hypothesis, torque_column
 from rrr_oc.recordings.recording import RecordingSet
 
 LAGS = 0.3  # [s] up to which clocks are compared; doubled, slower links are seen and the check takes longer
@@ -61,14 +61,10 @@ class Consistency:
 def check_consistency(recordings: RecordingSet) -> Consistency:
     """What looks wrong in a set beside what its reader says, and how well a rigid arm with friction explains it."""
     samples, given = Samples.of(recordings), Reading.as_given(recordings.robot.n)
-    rigid, compared, reading = Comparison(samples), Comparison(samples, springs=True), given
-    doubts = [*_payloads(compared, given)]
-    if not doubts:
-        mend = _mend(rigid, compared)
-        doubts = [] if mend is None else _told(compared, *mend)
-        reading = given if mend is None or mend[0].reading is None else mend[0].reading
-    if not doubts:
-        doubts += _of_one_recording(recordings, given)
+    rigid, compared = Comparison(samples), Comparison(samples, springs=True)
+    mend = _mend(rigid, compared)
+    doubts = [*_of_one_recording(recordings, given)] if mend is None else _told(compared, *mend)
+    reading = given if mend is None or mend[0].reading is None else mend[0].reading
     doubts += [*_clocks(rigid, reading), *_excitation(rigid, reading)]
     return Consistency(
         tuple(doubts),
@@ -79,11 +75,13 @@ def check_consistency(recordings: RecordingSet) -> Consistency:
 
 def _mend(rigid: Comparison, compared: Comparison) -> tuple[Hypothesis, tuple[str, ...]] | None:
     """The mistakes that explain the torques of all poor joints, and their rivals in words; None where none does."""
+    given = Reading.as_given(compared.samples.recordings.robot.n)
     before, poor = _poor(rigid, compared)
     hypotheses = [*mends.of_columns(compared, bool(poor.any()))]
-    if poor.any():
+    if max(np.nanmax(rigid.nrmse(given), initial=0.0), np.nanmax(before, initial=0.0)) > CLEAN:
         hypotheses += [*mends.of_robot(compared)]
-        hypotheses += [*mends.units(rigid, compared)] if compared.nominal else []
+    if poor.any() and compared.nominal:
+        hypotheses += [*mends.units(rigid, compared)]
     return mends.best_of(hypotheses, before, poor)
 
 
@@ -124,23 +122,6 @@ def _of_one_recording(recordings: RecordingSet, given: Reading) -> Iterator[Doub
         found = mends.best_of([*mends.of_columns(compared, bool(poor.any()))], errors[k], poor)
         if found is not None and np.all(far[poor]):
             yield from _told(compared, *found, f"{recordings.recordings[k].file}: ")
-
-
-def _payloads(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
-    """Listed payloads without which the torques are explained much better."""
-    recordings = compared.samples.recordings
-    heaviest = max(float(np.max(r.payload)) for r in recordings.recordings)
-    if not (compared.nominal and heaviest > 0):
-        return
-    empty = tuple(replace(r, payload=0 * r.payload) for r in recordings.recordings)
-    bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=empty)), springs=True)
-    before, after = compared.nrmse(reading), bare.nrmse(reading)
-    better = [j for j in np.flatnonzero(before > BAD) if after[j] < BETTER * before[j] and after[j] < GOOD]
-    if better:
-        j = max(better, key=lambda j: before[j] / after[j])
-        said = f"the torques fit better without the listed payload of up to {heaviest:g} kg"
-        told = f"{said}: NRMSE of the torque of {recordings.joints[j]} {before[j]:.2g} → {after[j]:.2g}"
-        yield Doubt("payload", ("payload",), told, float(before[j]), float(after[j]))
 
 
 def _clocks(compared: Comparison, reading: Reading) -> Iterator[Doubt]:

@@ -17,16 +17,24 @@ from rrr_oc.recordings.plausibility import DEGREES
 from rrr_oc.recordings.recording import RecordingSet
 
 LEAST_ERROR = 0.03  # NRMSE below which smaller is no better: what smoothing leaves; doubled, mends of small errors are missed
-BAD, BETTER, GOOD = 0.5, 0.5, 0.35  # a joint above the first is poor; a mend leaves the second's share, and no more than the last
-FAIR = 0.7  # that a mend of several poor joints may leave of each; at 1, unknown springs look like mistakes
+BAD, BETTER, GOOD = (
+    0.5,
+    0.5,
+    0.35,
+)  # a joint above the first is poor; a mend leaves the second's share, and no more than the last
+FAIR = 0.7  # share that a mend of several poor joints may leave of each, and NRMSE unless it was `AGAINST`; at 1, springs look like mistakes
+AGAINST = 1.2  # NRMSE from which a torque contradicts the arm, whatever physics is missing; at 1, missing springs do
+SPOILT = 1.5  # times its error that a joint may have with a mend; doubled, mends of one joint at the cost of another pass
 SURE = 2.5  # fall of the summed logarithms with which a mend is for any error; at 1.5, an arm with a missing spring gets one
 WORTH = 0.7  # fall of the summed logarithms of the errors that a mistake must explain: a factor of two; doubled, one of four
+CLEAR, CLEAN = 1.2, 0.1  # or fall by the first, if no joint's error is above the second; doubled, missing physics gets mends
 RIVAL = 0.7  # by which these sums, with `WORTH` for each mistake, may differ between rivals; doubled, more of them are told
 MOST_RIVALS = 3  # that are told; doubled, a sentence takes two lines more
 SCALES = (1 / 8, 8.0)  # a torque so much smaller or larger than the arm's is in another unit; at 3, a missing payload is one
 ALIKE = 0.2  # by which factors of all joints may differ that have one cause; doubled, heavy payloads look like a unit
 UNITS = {1e3: "mNm", 1e2: "Ncm", 9.80665: "kgf m", 980.665: "gf m", 98.0665: "kgf cm", 1e-3: "kNm", 0.112985: "in lbf"}
 ZEROS = np.radians([-180, -150, -120, -90, -60, -45, -30, -15, 15, 30, 45, 60, 90, 120, 150])  # that are tried first
+LEAST_ANGLE, MOST_ANGLE = 0.2, 13.0  # [rad] between which the largest angle of recordings lies; two turns
 FINER = np.radians([10, 5, 2, 1, 0.5])  # steps by which the best of them is moved
 LEAST_ZERO = np.radians(3)  # that is said; smaller ones are the diagnosis' to find
 WEIGHT = (0.5, 2.0)  # a link's mass over the file's between which it is left to the diagnosis
@@ -38,7 +46,7 @@ class Mistake:
     """One mistake.
 
     Attributes:
-        kind: "sign", "order", "unit", "coupling" or "zero" of columns, "robot" in the robot's file.
+        kind: "sign", "order", "unit", "coupling" or "zero" of columns, "payload", or "robot" of the robot's file and mounting.
         columns: That it is about.
         said: A sentence with the mend.
         joint: The joint whose error shows it; None for the worst of all.
@@ -84,8 +92,11 @@ def score(nrmse: np.ndarray) -> float:
 
 def mended(before: np.ndarray, after: np.ndarray, poor: np.ndarray) -> bool:
     """Whether every joint that is poor is explained so much better that a mistake is sure; errors (n,) without and with the mend."""
-    least = GOOD if np.sum(poor) == 1 else FAIR
-    return bool(np.all((after < BETTER * before)[poor]) and np.all(after[poor] < least))
+    if np.any(after > np.maximum(SPOILT * before, GOOD)):
+        return False
+    if np.sum(poor) == 1:
+        return bool(np.all((after < np.minimum(BETTER * before, GOOD))[poor]))
+    return bool(np.all((after < FAIR * before)[poor] & ((after < FAIR) | (before > AGAINST))[poor]))
 
 
 def best_of(
@@ -95,23 +106,23 @@ def best_of(
     if poor.any():
         sure = [h for h in hypotheses if mended(before, h.after, poor) and h.cost < score(before)]
     else:
-        sure = [
-            h
-            for h in hypotheses
-            if len(h.mistakes) == 1 and score(before) - score(h.after) > SURE and h.after[_gains(before, h.after)] < GOOD
-        ]
+        sure = [h for h in hypotheses if len(h.mistakes) == 1 and _explains(before, h.after)]
     if not sure:
         return None
     ordered = sorted(sure, key=lambda h: h.cost)
     best = ordered[0]
-    others = [h.said for h in ordered[1:] if h.cost < best.cost + RIVAL and len(h.mistakes) <= len(best.mistakes)]
-    return best, tuple(dict.fromkeys([*best.equals, *others]))[: MOST_RIVALS + len(best.equals)]
+    near = [h.said for h in ordered[1:] if h.cost < best.cost + RIVAL and len(h.mistakes) <= len(best.mistakes)]
+    others = [said for said in dict.fromkeys([*best.equals, *near]) if said != best.said]
+    return best, tuple(others[: MOST_RIVALS + len(best.equals)])
 
 
-def _gains(before: np.ndarray, after: np.ndarray) -> int:
-    """The joint that gains most."""
+def _explains(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether errors (n,) fall so much that a mistake is sure though no joint is poor."""
     gain = np.log(np.maximum(before, LEAST_ERROR)) - np.log(np.maximum(after, LEAST_ERROR))
-    return int(np.nanargmax(gain)) if np.isfinite(gain).any() else 0
+    if not np.isfinite(gain).any():
+        return False
+    fall = score(before) - score(after)
+    return bool((fall > SURE and after[np.nanargmax(gain)] < GOOD) or (fall > CLEAR and np.nanmax(after) < CLEAN))
 
 
 def torque_column(recordings: RecordingSet) -> str:
@@ -119,28 +130,37 @@ def torque_column(recordings: RecordingSet) -> str:
     return EFFORTS.get(recordings.torque, "tau")
 
 
-def of_columns(compared: Comparison, several: bool = True) -> Iterator[Hypothesis]:
-    """Mistakes in columns alone; of signs all combinations if `several`, else one."""
+def of_columns(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
+    """Mistakes in columns, and of how the arm is mounted; of signs all combinations if `several`, else one."""
+    if compared.nominal or several:
+        yield from _gravity(compared)
     yield from _signs(compared, several)
     yield from _orders(compared)
     if compared.nominal:
         yield from _degrees(compared)
         yield from _sums(compared)
+        yield from _zeros(compared)
 
 
 def of_robot(compared: Comparison) -> Iterator[Hypothesis]:
-    """Mistakes of the robot's file, or of what it is mounted on: axes, gravity, zeros, and a link's mass."""
-    if compared.nominal:
-        yield from _zeros(compared)
-        yield from _axes(compared)
-        yield from _gravity(compared)
-        yield from _links(compared)
+    """Mistakes of the robot's file and of what it holds: axes, a link's mass, and the payload.
+
+    One with which the arm explains no more than no arm at all is none.
+    """
+    if not compared.nominal:
+        return
+    bare = score(compared.nrmse(Reading.as_given(compared.samples.recordings.robot.n), alone=True))
+    for hypothesis in (*_axes(compared), *_links(compared), *_payload(compared)):
+        if score(hypothesis.after) < bare - WORTH:
+            yield hypothesis
 
 
 def _signs(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
     """Opposite signs of positions, of torques or of both."""
     given, n = Reading.as_given(len(compared.samples.recordings.joints)), len(compared.samples.recordings.joints)
-    turns = itertools.product((1.0, -1.0), repeat=n) if several else (1 - 2 * row for row in np.vstack([np.zeros(n), np.eye(n)]))
+    turns = (
+        itertools.product((1.0, -1.0), repeat=n) if several else (1 - 2 * row for row in np.vstack([np.zeros(n), np.eye(n)]))
+    )
     for turned in [np.array(x) for x in turns] if compared.nominal else [np.ones(n)]:
         reading = replace(given, q=np.diag(turned))
         with_sign = {sign: compared.nrmse(replace(reading, tau=sign * np.eye(n))) for sign in (1.0, -1.0)}
@@ -152,7 +172,9 @@ def _signs(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
             if mistakes and (several or len(mistakes) == 1):
                 after = np.where(flips, with_sign[-1.0], with_sign[1.0])
                 turned_over = [m for m in mistakes if m.joint is not None and turned[m.joint] < 0]
-                equals = tuple(
+                equals = ("all positions and their rates fit with the opposite sign",) * int(
+                    not compared.nominal and flips.all()
+                ) + tuple(
                     f"the axis of {compared.samples.recordings.joints[m.joint]} points the other way than in the robot's file"
                     for m in turned_over
                     if m.joint is not None and len(m.columns) == 2
@@ -196,7 +218,10 @@ def _orders(compared: Comparison) -> Iterator[Hypothesis]:
         of = {
             f"{tau[0]} and {tau[1]} fit when they are swapped": (tau, replace(given, tau=swap)),
             f"{q[0]} and {q[1]}, with their rates, fit when they are swapped": (q, replace(given, q=swap)),
-            f"all columns of {names[i]} and {names[j]} fit when they are swapped": ((*q, *tau), replace(given, q=swap, tau=swap)),
+            f"all columns of {names[i]} and {names[j]} fit when they are swapped": (
+                (*q, *tau),
+                replace(given, q=swap, tau=swap),
+            ),
         }
         for said, (columns, reading) in list(of.items())[: None if compared.nominal else 1]:
             yield Hypothesis((Mistake("order", columns, said),), compared.nrmse(reading), reading)
@@ -206,6 +231,9 @@ def _degrees(compared: Comparison) -> Iterator[Hypothesis]:
     """Positions in degrees, or in radians that were taken for degrees."""
     names, torque = compared.samples.recordings.joints, torque_column(compared.samples.recordings)
     for factor, how in ((DEGREES, "angles in rad that were taken for degrees"), (1 / DEGREES, "angles in degrees")):
+        largest = max(float(np.max(np.abs(r.q))) for r in compared.samples.recordings.recordings)
+        if not LEAST_ANGLE < factor * largest < MOST_ANGLE:
+            continue
         n, q = len(names), tuple(f"q_{joint}" for joint in names)
         reading = Reading(factor * np.eye(n), (factor if torque == "command" else 1.0) * np.eye(n), np.zeros(n))
         said = f"positions fit when they are multiplied by {factor:.3g}, as {how}"
@@ -259,25 +287,24 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
         far = far_factors(factors)
         if not far.any():
             continue
-        known = factors[np.isfinite(factors)]
-        one = len(known) > 1 and np.ptp(np.log(known)) < ALIKE
-        each = np.where(far, factors, 1.0) if not one else np.full(n, float(np.exp(np.mean(np.log(known)))))
-        after = compared.nrmse(replace(Reading.as_given(n), tau=sign * np.eye(n)), scale=1 / each[:, None])
-        if one:
+        known = np.log(factors[np.isfinite(factors)])
+        scale, mistakes = float(np.exp(np.mean(known))), []
+        reading = replace(Reading.as_given(n), tau=sign * np.eye(n))
+        if n > 1 and np.ptp(known) < ALIKE:
             tau = tuple(f"{torque}_{joint}" for joint in names)
-            said = f"all torques are {opposite}{each[0]:.3g} times those that the arm needs{_unit(each[0])}: divided by that"
-            yield Hypothesis(
-                (Mistake("unit", tau, said),),
-                after,
-                equals=(f"all links {each[0]:.3g} times as heavy as in the robot's file",),
-            )
-            continue
-        mistakes = []
+            said = f"all torques are {opposite}{scale:.3g} times those that the arm needs{_unit(scale)}: divided by that"
+            heavier = (f"all links are {scale:.3g} times as heavy as in the robot's file",) * (sign > 0)
+            yield Hypothesis((Mistake("unit", tau, said),), compared.nrmse(reading, scale=1 / scale), equals=heavier)
+            if len(known) == n:
+                continue
         for j in np.flatnonzero(far).tolist():
             what = f"{torque}_{names[j]}" if torque != "command" else f"what kp and kd make of command_{names[j]}"
-            said = f"{what} is {opposite}{factors[j]:.3g} times the torque that the arm needs{_unit(factors[j])}: divided by that"
+            said = (
+                f"{what} is {opposite}{factors[j]:.3g} times the torque that the arm needs{_unit(factors[j])}: divided by that"
+            )
             mistakes.append(Mistake("unit", (f"{torque}_{names[j]}",), said, j))
-        yield Hypothesis(tuple(mistakes), after)
+        each = np.where(far, factors, 1.0)
+        yield Hypothesis(tuple(mistakes), compared.nrmse(reading, scale=1 / each[:, None]))
 
 
 def far_factors(factors: np.ndarray) -> np.ndarray:
@@ -318,7 +345,9 @@ def _axes(compared: Comparison) -> Iterator[Hypothesis]:
                     continue  # the same axis; its direction is a sign of columns
                 axes = np.where(np.arange(robot.n)[:, None] == j, axis, robot.axes)
                 other = compared.with_robot(axes=axes)
-                said = f"the torques fit when {joint} turns about {'−' if sign < 0 else ''}{name} of its frame in the robot's file"
+                said = (
+                    f"the torques fit when {joint} turns about {'−' if sign < 0 else ''}{name} of its frame in the robot's file"
+                )
                 yield Hypothesis((Mistake("robot", (), said),), other.nrmse(Reading.as_given(robot.n)))
 
 
@@ -334,6 +363,17 @@ def _gravity(compared: Comparison) -> Iterator[Hypothesis]:
                 vector = ", ".join(f"{x + 0.0:.3g}" for x in gravity)
                 said = f'the torques fit with "gravity": [{vector}], as if the arm were mounted otherwise'
                 yield Hypothesis((Mistake("robot", (), said),), after)
+
+
+def _payload(compared: Comparison) -> Iterator[Hypothesis]:
+    """A listed payload that was not there."""
+    recordings = compared.samples.recordings
+    heaviest = max(float(np.max(r.payload)) for r in recordings.recordings)
+    if heaviest > 0:
+        empty = tuple(replace(r, payload=0 * r.payload) for r in recordings.recordings)
+        bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=empty)), compared.springs)
+        said = f"the torques fit better without the listed payload of up to {heaviest:g} kg"
+        yield Hypothesis((Mistake("payload", ("payload",), said),), bare.nrmse(Reading.as_given(recordings.robot.n)))
 
 
 def _links(compared: Comparison) -> Iterator[Hypothesis]:
