@@ -28,12 +28,12 @@ def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None
         table.add_row(joint, "never changes" if nrmse is None else f"{nrmse:.2g}")
     output.show(table)
     poor = [joint for joint, nrmse in by_joint.items() if nrmse is not None and nrmse > WORTHLESS]
-    if poor and not found.doubts:
+    if poor:
         output.note(
             f"Warning: the rigid arm explains the torque of {', '.join(poor)} no better than a constant does. Check masses, gravity, tool "
             "and payload; if they are right, physics is missing there, and rrr-oc diagnose says which."
         )
-    elif not found.doubts:
+    if not (poor or found.doubts):
         output.show("No column contradicts another or the robot.")
     low, high = found.diagnosis_s
     output.show(f"A diagnosis takes {low:.0f} to {high:.0f} s of processor time, the less the fewer effects are missing.")

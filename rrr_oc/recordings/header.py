@@ -69,6 +69,18 @@ class Entry(Schema, frozen=True):
             raise ValueError(f"file: found {self.file!r}; a recording must lie in the set's own folder")
 
 
+class Coupling(Schema, frozen=True):
+    """Columns that are sums of joints: an angle counted from an earlier link than the one before, motors that act through a parallelogram.
+
+    Attributes:
+        q: Joint angles = q (columns of positions), and their rates likewise: a row for each joint. Default: as the columns are.
+        tau: Joint torques = tau (columns of torques), of currents times their constants: a row for each joint. Default: as they are.
+    """
+
+    q: tuple[tuple[float, ...], ...] | None = None
+    tau: tuple[tuple[float, ...], ...] | None = None
+
+
 class Header(Schema, frozen=True):
     """The content of `recordings.json`.
 
@@ -84,6 +96,7 @@ class Header(Schema, frozen=True):
         tool: Where a payload is held; by default the last link's tool frame.
         actuators: Drives by joint.
         fixed_deg: Angles of joints that are not recorded [°]; 0 for those left out, or the middle of a range that lacks 0.
+        coupling: Columns that are sums of joints, where they are.
         kp: Of the loop where `torque` is "command", above 0: a number, or one per joint by name [Nm/rad].
         kd: As `kp`, 0 or above [Nm s/rad].
     """
@@ -98,6 +111,7 @@ class Header(Schema, frozen=True):
     tool: Tool | None = None
     actuators: dict[str, Actuator] = field(default_factory=dict)
     fixed_deg: dict[str, float] = field(default_factory=dict)
+    coupling: Coupling | None = None
     kp: Gain | None = None
     kd: Gain | None = None
 
@@ -114,6 +128,22 @@ class Header(Schema, frozen=True):
                 f"actuators: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
             )
         check_gains(self.torque, self.kp, self.kd, self.joints)
+        if self.coupling is not None and self.torque == "command":
+            raise ValueError("coupling: is for torques and currents that are recorded; with torque 'command' there is none")
+        for kind in ("q", "tau") if self.coupling is not None else ():
+            matrix, n = getattr(self.coupling, kind), len(self.joints)
+            if matrix is not None and ([len(row) for row in matrix] != [n] * n or np.linalg.matrix_rank(matrix) < n):
+                raise ValueError(
+                    f"coupling.{kind}: {n} rows of {n} numbers are required, one for each joint, that can be inverted"
+                )
+
+    def coupled(self, kind: Literal["q", "tau"]) -> np.ndarray | None:
+        """Joints' angles, or what is recorded of their torques, by columns, (n, n); None where they are as the columns are."""
+        matrix = None if self.coupling is None else getattr(self.coupling, kind)
+        if matrix is None:
+            return None
+        constant = np.array(self.torque_constant if kind == "tau" and self.torque == "current" else np.ones(len(matrix)), float)
+        return np.array(matrix, float) * constant / constant[:, None]
 
     @property
     def loop(self) -> Loop | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
-from rrr_oc.recordings import plausibility
+from rrr_oc.recordings import faults, plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
 from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Entry, Header, Spring, read_header
 from rrr_oc.recordings.plausibility import Rate
@@ -88,9 +88,11 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
         turned = _unwrap(columns, robot.joints, segments)
+        _couple(columns, robot.joints, recorded, header)
         if header.loop is not None:
             _turn_commands(columns, turned)
         filled = _fill_rates(columns, robot.joints, segments)
+        wrong = _faults(table, columns, ignored, robot, segments)
         plausibility.check_positions(str(path), robot, np.array([columns[f"q_{joint}"] for joint in robot.joints]))
         rates = _compare_rates(str(path), columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
@@ -101,12 +103,26 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, rates=rates, batch=batch,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
             command=None if header.loop is None else signal, loop=header.loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
     return result
+
+
+def _faults(
+    table: Table, columns: Mapping[str, np.ndarray], ignored: Sequence[str], robot: Robot, segments: Sequence[slice]
+) -> tuple[str, ...]:
+    """What looks wrong in positions of joints that are not listed, and in positions beside their speeds."""
+    q, dq = ({j: columns[f"{kind}_{j}"] for j in robot.joints if f"{kind}_{j}" in columns} for kind in ("q", "dq"))
+    others = [name for name in ignored if name.startswith("q_")]
+    try:
+        values = table.columns(others) if others else []
+    except UserError:  # they may hold anything
+        values = []
+    beside = {name.removeprefix("q_"): x for name, x in zip(others, values, strict=False)}
+    return (*faults.unlisted(beside, robot.held), *faults.frozen(columns["t"], segments, q, dq))
 
 
 def _one_payload(table: Table) -> Table:
@@ -178,6 +194,26 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     for name in turned:
         columns[name] = np.unwrap(columns[name])
     return tuple(turned)
+
+
+def _couple(columns: dict[str, np.ndarray], joints: Sequence[str], recorded: Sequence[str], header: Header) -> None:
+    """Put joints' angles, rates and torques into the place of columns that are sums of them; a rate that some joint lacks is left out."""
+    for prefix, matrix in (
+        ("q_", header.coupled("q")),
+        ("dq_", header.coupled("q")),
+        ("ddq_", header.coupled("q")),
+        ("", header.coupled("tau")),
+    ):
+        names = [f"{prefix}{joint}" for joint in joints] if prefix else [*recorded]
+        if matrix is None:
+            continue
+        if not all(name in columns for name in names):
+            for name in names:
+                columns.pop(name, None)
+            continue
+        given = [columns[name] for name in names]
+        for name, row in zip(names, matrix, strict=True):
+            columns[name] = sum((k * x for k, x in zip(row, given, strict=True) if k), start=np.zeros_like(given[0]))
 
 
 def _turn_commands(columns: dict[str, np.ndarray], turned: Sequence[str]) -> None:

@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from rrr_oc.model.motion import Motion
-from rrr_oc.recordings import plausibility
-from rrr_oc.recordings.header import HEADER, Spring, Torque
+from rrr_oc.recordings import faults, plausibility
+from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Spring, Torque
 from rrr_oc.recordings.loop import Loop
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
@@ -32,6 +32,7 @@ class Recording(Motion):
         ignored: Columns of the file that are not read.
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
+        faults: What looks wrong in the file's positions and speeds, a part of a sentence each.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
         command: Commanded positions [rad], shape (n, K), and
@@ -48,6 +49,7 @@ class Recording(Motion):
     ignored: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
     filled: tuple[tuple[str, int], ...] = ()
+    faults: tuple[str, ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
     batch: float = 1.0
     command: np.ndarray | None = None
@@ -169,10 +171,30 @@ class RecordingSet:
         still = [r for r in self.recordings if plausibility.stands_still(r.q)]
         doubts = [f"{_named(still)}: no joint moves, which says nothing of friction and inertia"] if still else []
         doubts += self._of_times_and_travel()
+        doubts += self._of_faults()
         for r in self.recordings:
             for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if len(self.joints) > 1 else ():
                 columns = f"dq_{self.joints[i]} is the derivative of q_{self.joints[j]}, not of q_{self.joints[i]}"
                 doubts.append(f"{r.file}: {columns}; are columns swapped?")
+        return doubts
+
+    def _of_faults(self) -> list[str]:
+        """Encoders that stand still, joints that are not listed and move, torques that are cut off, and recordings that are there twice."""
+        doubts = [f"{r.file}: {fault}" for r in self.recordings for fault in r.faults]
+        for j, joint in enumerate(self.joints):
+            cut = [(r, found) for r in self.recordings if r.command is None and (found := faults.cut_off(r.tau[j])) is not None]
+            if cut:
+                column, unit = f"{EFFORTS.get(self.torque, 'tau')}_{joint}", UNIT_OF.get(self.torque, "Nm")
+                size, share = max((found for _, found in cut), key=lambda found: found[1])
+                where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
+                doubts.append(
+                    f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger; a NaN there leaves rows out"
+                )
+        for later, earlier, share in faults.repeated([np.concatenate([r.q, r.tau]) for r in self.recordings]):
+            names = self.recordings[later].file, self.recordings[earlier].file
+            doubts.append(
+                f"{names[0]}: {100 * share:.0f} % of its rows stand in {names[1]} again; one recording must not be there twice"
+            )
         return doubts
 
     def _of_times_and_travel(self) -> list[str]:

@@ -17,7 +17,7 @@ from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smoo
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.writer import save_recordings
-from rrr_oc.storage import check_file, check_folder, new_folder, write_json, write_npz, write_text
+from rrr_oc.storage import check_file, check_folder, new_folder, write_csv, write_json, write_npz, write_text
 
 JOINTS = ("joint1", "joint2", "joint3")
 EXAMPLE = {  # as printed in the contract
@@ -665,3 +665,29 @@ def test_speeds_of_another_joint_and_standstill_are_warned_of(tmp_path):
     assert len([note for note in notes if "swapped" in note]) == 2
     notes = moved_set(tmp_path, lambda t: np.zeros((2, 3, t.size)) + 0.3 * np.array([1, 0])[:, None, None])
     assert any("a.csv: no joint moves" in note for note in notes)
+
+
+def test_columns_that_are_sums_are_read_as_joints(tmp_path):
+    """An elbow's angle from the base, and the motors of a parallelogram: torques by the transposed, currents by their constants."""
+    rng, t = np.random.default_rng(0), np.arange(200) / 100
+    q = np.cumsum(rng.normal(0, 0.002, (3, 200)), axis=1)
+    tau = rng.normal(size=(3, 200))
+    from_motors, constant = np.array([[1, 0, 0], [0, 1, 0], [0, -1, 1]]), np.array([2.0, 3.0, 5.0])
+    columns = {f"q_joint{i + 1}": x for i, x in enumerate(np.linalg.solve(from_motors, q))}
+    motors = np.linalg.solve(from_motors.T, tau)
+    header = {
+        "format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"],
+        "coupling": {"q": from_motors.tolist(), "tau": from_motors.T.tolist()}, "recordings": [{"file": "a.csv"}],
+        "actuators": {f"joint{i + 1}": {"torque_constant": k} for i, k in enumerate(constant)},
+    }  # fmt: skip
+    for kind, logged in (("tau", motors), ("current", motors / constant[:, None])):
+        write_csv(tmp_path / "a.csv", {"t": t} | columns | {f"{kind}_joint{i + 1}": x for i, x in enumerate(logged)})
+        (tmp_path / "recordings.json").write_text(json.dumps(header | {"torque": "motor" if kind == "tau" else "current"}))
+        found = load_recordings(tmp_path)
+        np.testing.assert_allclose(found.recordings[0].q, q, atol=1e-12)
+        np.testing.assert_allclose(found.output_torque(found.recordings[0]), tau, atol=1e-12)
+    (tmp_path / "recordings.json").write_text(json.dumps(header | {"coupling": {"q": [[1, 0], [0, 1]]}, "torque": "current"}))
+    with pytest.raises(
+        UserError, match=r"coupling\.q: 3 rows of 3 numbers are required, one for each joint, that can be inverted"
+    ):
+        load_recordings(tmp_path)

@@ -1,0 +1,105 @@
+"""Faults of sensors, drivers and files that leave every column possible: what is told of them, a part of a sentence each."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+MOVED = (
+    0.02  # [rad] of travel of a joint that is not listed, or of a speed beside a position that stays; doubled, small ones pass
+)
+FROZEN, STEPS = 0.1, 5.0  # [s] and resolutions of the encoder by which a position must stay behind; doubled, short freezes pass
+ALIKE = 2.0  # times its travel that the integral of a speed may be; beyond, its unit is wrong; doubled, the motor's side passes
+CUT_ROWS, CUT_RUN = (
+    0.01,
+    5,
+)  # share of rows at the largest torque, and rows in a row, that make a limit; doubled, short ones pass
+CUT_LEVEL, CUT_TIMES = (
+    0.01,
+    6.0,
+)  # the share of the range below it that has so many times fewer rows; a sine's peak has 2.4 times
+AGAIN = 0.5  # share of a recording's rows that stand in another one; doubled, copies of the half pass
+
+
+def unlisted(columns: Mapping[str, np.ndarray], held: Mapping[str, float]) -> list[str]:
+    """Of positions of joints that are not listed: those that move, and those that stand elsewhere than the arm has them.
+
+    Args:
+        columns: Positions (K,) [rad] by the joint's name.
+        held: Angles at which the robot's joints are locked [rad], by name.
+    """
+    found = []
+    for joint, q in columns.items():
+        q = q[np.isfinite(q)]
+        if not len(q):
+            continue
+        at, middle = held.get(joint, 0.0), float(np.median(q))
+        if np.ptp(q) > MOVED:
+            found.append(
+                f"q_{joint} moves by {np.degrees(np.ptp(q)):.3g}° and {joint} is not one of the joints listed: the arm is taken as if it stood"
+                f" still at {np.degrees(at):.3g}°"
+            )
+        elif abs(middle - at) > MOVED:
+            found.append(
+                f"q_{joint} stands at {np.degrees(middle):.3g}°, where the arm is taken to have {np.degrees(at):.3g}°; "
+                f'"fixed_deg" says another angle'
+            )
+    return found
+
+
+def frozen(t: np.ndarray, segments: Sequence[slice], q: Mapping[str, np.ndarray], dq: Mapping[str, np.ndarray]) -> list[str]:
+    """Of positions that stay the same for a while in which the recorded speed goes on; (K,) by the joint's name."""
+    found = []
+    for joint in [joint for joint in q if joint in dq]:
+        worst = max((_longest_stay(t[s], q[joint][s], dq[joint][s]) for s in segments), key=lambda one: one[2])
+        if worst[2] > 0:
+            begin, end, way = worst
+            found.append(
+                f"q_{joint} is the same from {begin:.3f} to {end:.3f} s, in which dq_{joint} goes on by {np.degrees(way):.2g}°: "
+                "the encoder stood still; a NaN there leaves rows out"
+            )
+    return found
+
+
+def _longest_stay(t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> tuple[float, float, float]:
+    """Begin and end [s] of the stay of a position (K,) during which its speed goes on most, and how far [rad]; 0 for none."""
+    steps = np.abs(np.diff(q))
+    integral = np.append(0.0, np.cumsum(np.diff(t) * (dq[1:] + dq[:-1]) / 2))
+    travel = float(np.sum(steps))
+    if not travel > 0 or not 1 / ALIKE < np.sum(np.abs(np.diff(integral))) / travel < ALIKE:
+        return 0.0, 0.0, 0.0
+    ends = np.flatnonzero(np.append(steps > 0, True))
+    begins = np.append(0, ends[:-1] + 1)
+    ways = np.where(t[ends] - t[begins] > FROZEN, np.abs(integral[ends] - integral[begins]), 0.0)
+    k = int(np.argmax(ways))
+    enough = ways[k] > max(MOVED, STEPS * float(np.min(steps[steps > 0])))
+    return (float(t[begins[k]]), float(t[ends[k]]), float(ways[k])) if enough else (0.0, 0.0, 0.0)
+
+
+def cut_off(torque: np.ndarray) -> tuple[float, float] | None:
+    """The size at which a torque (K,) is cut off, and the share of rows there; None where it is not.
+
+    So many rows in a row have exactly this size, and so few are a little below, as is so of no sampled motion, whatever its resolution.
+    """
+    size, largest = np.abs(torque), float(np.max(np.abs(torque)))
+    at = size > largest * (1 - 1e-9)
+    near = (size > (1 - CUT_LEVEL) * largest) & ~at
+    levels = np.unique(size[size > (1 - 10 * CUT_LEVEL) * largest])
+    if len(levels) < 3:  # so few that the next one says nothing
+        return None
+    below = np.sum(near) if near.any() else np.sum(size == levels[-2])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at, [0]])))
+    longest = int(np.max(edges[1::2] - edges[::2]))
+    cut = largest > 0 and longest >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
+    return (largest, float(np.mean(at))) if cut else None
+
+
+def repeated(rows: Sequence[np.ndarray]) -> list[tuple[int, int, float]]:
+    """Pairs of recordings (later, earlier) of which one has the other's rows again, and the share; rows (m, K) each."""
+    weights = np.random.default_rng(0).uniform(0.5, 1.5, len(rows[0]) if rows else 0)
+    marks = [np.unique(np.asarray(weights @ one)) for one in rows]
+    shares = (
+        (j, i, len(np.intersect1d(marks[i], marks[j], assume_unique=True)) / min(len(marks[i]), len(marks[j])))
+        for j in range(len(marks))
+        for i in range(j)
+    )
+    return [(j, i, share) for j, i, share in shares if share > AGAIN]

@@ -1,0 +1,81 @@
+"""Faults of sensors, drivers and files that leave every column possible: each is put into a right set, and told."""
+
+import numpy as np
+import pytest
+from swung import columns, without, written
+
+from rrr_oc.recordings.faults import cut_off
+from rrr_oc.recordings.reader import load_recordings
+
+RIGHT = without(("ddq",), columns())
+T = RIGHT["t"]
+LIMIT = float(np.quantile(np.abs(RIGHT["tau_joint2"]), 0.8))
+
+
+def frozen() -> dict[str, np.ndarray]:
+    """The encoder of joint2 gives its last value from 3 to 3.4 s; its speed is measured."""
+    q = RIGHT["q_joint2"].copy()
+    q[(T > 3) & (T < 3.4)] = q[T <= 3][-1]
+    return RIGHT | {"q_joint2": q}
+
+
+FAULTS = {
+    "joint not listed": (
+        RIGHT | {"q_wrist": 0.3 * np.sin(T)},
+        "a.csv: q_wrist moves by 34.4° and wrist is not one of the joints listed: the arm is taken as if it stood still at 0°",
+    ),
+    "joint elsewhere": (
+        RIGHT | {"q_wrist": 0.5 + 0 * T},
+        'a.csv: q_wrist stands at 28.6°, where the arm is taken to have 0°; "fixed_deg" says another angle',
+    ),
+    "encoder": (frozen(), "a.csv: q_joint2 is the same from 3.000 to 3.390 s, in which dq_joint2 goes on by "),
+    "torque": (
+        RIGHT | {"tau_joint2": np.clip(RIGHT["tau_joint2"], -LIMIT, LIMIT)},
+        f"a.csv: tau_joint2 is cut off at {LIMIT:.4g} Nm, in up to 20 % of the rows, ",
+    ),
+}
+
+
+def notes(folder, **files):
+    return load_recordings(written(folder, **files)).notes
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_told(tmp_path, fault):
+    wrong, said = FAULTS[fault]
+    before = notes(tmp_path / "right", a=RIGHT)
+    more = [note for note in notes(tmp_path / "wrong", a=wrong) if note not in before and "mean nothing" not in note]
+    assert [note.startswith(said) for note in more] == [True]
+
+
+def test_a_joint_that_is_not_listed_may_stand_where_it_is_held(tmp_path):
+    before = notes(tmp_path / "right", a=RIGHT)
+    assert not [n for n in notes(tmp_path, a=RIGHT | {"q_wrist": 0 * T}) if n not in before and "q_wrist stands" in n]
+
+
+def test_a_recording_that_is_there_twice_is_told(tmp_path):
+    """Under another name, and with a piece of it alone."""
+    other = columns(seconds=11.0)
+    other |= {name: values + 0.1 for name, values in other.items() if name.startswith("q_")}
+    piece = {name: values[300:] for name, values in RIGHT.items()}
+    for second, share in ((RIGHT, 100), (piece, 100)):
+        found = notes(tmp_path / f"{len(second['t'])}", a=RIGHT, b=without(("ddq",), other), c=second)
+        said = f"c.csv: {share} % of its rows stand in a.csv again; one recording must not be there twice"
+        assert [n for n in found if "twice" in n] == [said]
+
+
+@pytest.mark.parametrize("levels", [100, 1000, None])
+def test_no_motion_is_cut_off_whatever_its_resolution(levels):
+    t = np.arange(0, 20, 0.01)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        torque = sum(
+            a * np.sin(w * t + p)
+            for a, w, p in zip(rng.normal(size=4), rng.uniform(0.5, 5, 4), rng.uniform(0, 6, 4), strict=True)
+        )
+        torque = np.asarray(torque) / np.max(np.abs(torque))
+        step = lambda x: x if levels is None else np.round(x * levels) / levels  # noqa: E731
+        assert cut_off(step(torque)) is None
+        found = cut_off(step(np.clip(torque, -0.6, 0.6)))
+        assert found is not None
+        assert found[0] == pytest.approx(0.6)
