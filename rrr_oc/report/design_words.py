@@ -4,7 +4,18 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-from rrr_oc.codesign.design_file import COMPARISON, Bought, Choice, Configuration, DesignFile, Foreseen, Moved, OfMotors, Priced, Quantity
+from rrr_oc.codesign.design_file import (
+    COMPARISON,
+    Bought,
+    Choice,
+    Configuration,
+    DesignFile,
+    Foreseen,
+    Moved,
+    OfMotors,
+    Priced,
+    Quantity,
+)
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
