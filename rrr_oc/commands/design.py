@@ -42,30 +42,38 @@ CycleTimes = Annotated[
 app = typer.Typer(add_completion=False)
 
 
+Tasks = Annotated[
+    str, typer.Argument(help=f"a file with a task or a set of tasks, or a bundled one: {', '.join((*PRESETS, *SETS))}")
+]
+Results = Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")]
+Starts = Annotated[int, typer.Option(min=1, max=MOST, help="a configuration, half from CMA-ES, half Sobol points")]
+Motions = Annotated[int, typer.Option(min=0, max=MOST, help="proposed for each phase, for springs that starts led to")]
+Springs = Annotated[
+    int, typer.Option(min=1, max=MOST, help="different ones for which some of these motions are tried on the coarse mesh")
+]
+Rounds = Annotated[
+    int, typer.Option(min=1, max=MOST, help="times that motions are searched for the springs found last, at most")
+]
+Intervals = Annotated[
+    int,
+    typer.Option(min=8, max=MOST, help="of a phase on the first fine mesh, which the tolerance refines; fewer are faster"),
+]
+
+
 @app.command()
 def design(
     context: typer.Context,
-    task: Annotated[
-        str, typer.Argument(help=f"a file with a task or a set of tasks, or a bundled one: {', '.join((*PRESETS, *SETS))}")
-    ],
-    out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
+    task: Tasks,
+    out: Results,
     configurations: Annotated[
         str | None,
         typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
     ] = None,
-    starts: Annotated[
-        int, typer.Option(min=1, max=MOST, help="a configuration, half from CMA-ES, half Sobol points")
-    ] = SearchOptions.starts,
+    starts: Starts = SearchOptions.starts,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    motions: Annotated[
-        int, typer.Option(min=0, max=MOST, help="proposed for each phase, for springs that starts led to")
-    ] = SearchOptions.motions,
-    springs: Annotated[
-        int, typer.Option(min=1, max=MOST, help="different ones for which some of these motions are tried on the coarse mesh")
-    ] = SearchOptions.springs,
-    rounds: Annotated[
-        int, typer.Option(min=1, max=MOST, help="times that motions are searched for the springs found last, at most")
-    ] = SearchOptions.rounds,
+    motions: Motions = SearchOptions.motions,
+    springs: Springs = SearchOptions.springs,
+    rounds: Rounds = SearchOptions.rounds,
     cost: Annotated[
         str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
     ] = "load",
@@ -87,10 +95,7 @@ def design(
         float | None, typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used")
     ] = None,
     cycle_times: CycleTimes = None,
-    intervals: Annotated[
-        int,
-        typer.Option(min=8, max=MOST, help="of a phase on the first fine mesh, which the tolerance refines; fewer are faster"),
-    ] = 40,
+    intervals: Intervals = 40,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
