@@ -127,6 +127,8 @@ def _arm() -> _Arm:
     model = replace(model, terms=tuple(term.with_values(_sizes(term)) for term in model.prompt_terms))
     recording = replace(recording, tau=model.output_torque(recording))
     (prepared,) = prepare(replace(recordings, recordings=(recording,)))
+    r = prepared.recording
+    prepared = replace(prepared, recording=replace(r, command=r.q + (r.tau + KD * r.dq) / KP))
     return _Arm(model, prepared, view([prepared], model))
 
 

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import Delay, Effect, OfEach
+from rrr_oc.effects import Delay, Effect, LateCommand, OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.parameters import offsets
 from rrr_oc.model.recorded_physics import Physics
@@ -158,6 +158,7 @@ class CalibratedModel:
             np.array(widths + [term.width for term in terms if term.width is not None]),
             self.robot.inertial,
             self.delays(recording),
+            self.waits(recording),
         )
 
     @property
@@ -171,6 +172,14 @@ class CalibratedModel:
         for term in self.terms:
             if isinstance(term.effect, Delay) and term.holds_for(recording):
                 result[list(term.effect.joints) or slice(None)] += term.effect.delay(term.named)
+        return tuple(result.tolist())
+
+    def waits(self, recording: Recording) -> tuple[float, ...]:
+        """By how much later than they are recorded the commands of each joint act in a recording [s], (n,)."""
+        result = np.zeros(self.robot.n)
+        for term in self.terms:
+            if isinstance(term.effect, LateCommand) and term.holds_for(recording):
+                result[list(term.effect.joints) or slice(None)] += term.effect.wait(term.named)
         return tuple(result.tolist())
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.effects import BlackBox, Body, BodyChange, Delay, Effect, MovesLink, Signals, Trial, WithStates
+from rrr_oc.effects import BlackBox, Body, BodyChange, Delay, Effect, LateCommand, MovesLink, Signals, Trial, WithStates
 from rrr_oc.model.recorded_physics import Physics, braking_of, felt_load, later, moved, states_along
 from rrr_oc.model.shared_model import KEPT
 from rrr_oc.numerics.along import along
@@ -134,9 +134,11 @@ class Prediction:
             parts += [Columns.of(part).moved(int(ends[i]) - sizes[i]) for i, part in zip(which, found, strict=True)]
         if which := [i for i in range(len(terms)) if late[i] and holds[i]]:
             values = -differentiated(r, physics.measured(r, self.model.true_torque(r, physics)))
+            waits = physics.by_waits(r)
             for i in which:
                 joints = np.array(terms[i].effect.joints or range(n))
-                parts.append(Columns(joints, np.full(len(joints), ends[i] - 1), values[joints].T, int(ends[i])))
+                found = waits if isinstance(terms[i].effect, LateCommand) else values
+                parts.append(Columns(joints, np.full(len(joints), ends[i] - 1), found[joints].T, int(ends[i])))
         return Columns.joined(parts, size)
 
     @property

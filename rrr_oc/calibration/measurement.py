@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.estimator.evidence import NoiseStart
-from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
+from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter, is_held
 from rrr_oc.calibration.estimator.intervals import covariance
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
 from rrr_oc.calibration.estimator.left_out import Fall, surest_fall
@@ -24,7 +24,7 @@ def measurement(recordings: RecordingSet, model: CalibratedModel) -> dict[str, d
     """By joint: how late its torque and its recorded speed are [s], with a 95 % interval of the former; null where it is not known."""
     result = {}
     for j, joint in enumerate(model.joints):
-        late = next((t.estimates[0] for t in model.terms if isinstance(t.effect, Delay) and t.effect.joints == (j,)), None)
+        late = next((t.estimates[0] for t in model.terms if is_held(t.effect) and t.effect.joints == (j,)), None)
         speeds = [rate for r in recordings.recordings for rate in r.rates if rate.column == f"dq_{joint}"]
         used = [f"dq_{joint}" not in r.computed for r in recordings.recordings]
         result[joint] = {
@@ -44,7 +44,7 @@ def common_delay(fitter: PlainFitter, fitted: Fitted) -> tuple[Term, Fall, float
         The term, the fall of the error on the joint where it is surest against torques that are not late, and the p-value.
     """
     terms = fitted.model.terms
-    late = [i for i, t in enumerate(terms) if isinstance(t.effect, Delay)]
+    late = [i for i, t in enumerate(terms) if is_held(t.effect)]
     if not late:
         return None
     at, values = [fitted.model.offsets[i] for i in late], np.array([terms[i].values[0] for i in late])
@@ -64,6 +64,6 @@ def _prompt(fitter: PlainFitter, fitted: Fitted, at: Sequence[int] | np.ndarray)
     """The same fit with torques that are not late; `at` are the numbers of the delays among the parameters."""
     model, post = fitted.model, fitted.posterior
     held = np.where(np.isin(np.arange(len(fitter.plain_std)), at), HELD, fitter.plain_std)
-    terms = tuple(t.with_values(0 * t.values) if isinstance(t.effect, Delay) else t for t in model.terms)
+    terms = tuple(t.with_values(0 * t.values) if is_held(t.effect) else t for t in model.terms)
     start = NoiseStart(post.hyper, post.joints)
     return replace(fitter, plain_std=held).fit(replace(model, terms=terms), fitted.links, start, fixed=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.model.recorded_physics import Physics, later
 from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
 from rrr_oc.recordings.loop import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -85,7 +85,8 @@ def _followed(physics: Physics, r: Recording, control: Controller) -> Simulated:
         return replay(physics, r, control)
     own = Loop(*gains)
     # k_p q_ref + k_d dq_ref + this is k_p q_d: the engine is told nothing of the recorded motion but where it starts
-    return replay(physics, r, replace(control, k_p=own.kp, k_d=own.kd), own.torque(r.command, r.q, r.dq))
+    command = later(r, r.command, physics.waits)
+    return replay(physics, r, replace(control, k_p=own.kp, k_d=own.kd), own.torque(command, r.q, r.dq))
 
 
 def errors_simulated(

@@ -16,7 +16,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
 from rrr_oc.excitation.design import excite as optimised
 from rrr_oc.excitation.information import INERTIAL, Information, information, model_sensitivity
-from rrr_oc.excitation.limits import UNITS, Rig, robot_limits
+from rrr_oc.excitation.limits import UNITS, Rig, robot_limits, stands
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import BUNDLED, Robot, load_robot
 from rrr_oc.schema import LARGEST
@@ -41,7 +41,10 @@ def excite(
     torque: Annotated[
         float | None, typer.Option(help="limit of every joint's motor torque \\[Nm], if below the URDF's")
     ] = None,
-    floor: Annotated[float | None, typer.Option(help="height that the tool stays above \\[m]; default: no floor")] = None,
+    floor: Annotated[
+        float | None,
+        typer.Option(help="height that the tool stays above \\[m]; default: 0, the base's plane, unless the arm hangs from it"),
+    ] = None,
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
     starts: Annotated[int, typer.Option(min=1, max=MOST, help="random starts of the search")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
@@ -62,8 +65,10 @@ def excite(
     if floor is not None and not abs(floor) <= LARGEST:
         raise UserError(f"--floor is {floor:g} m; a finite height is required")
     robot = load_robot(urdf, named(joints))
-    rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
-    for note in (*robot.notes, *_unlimited(robot, rig)):
+    height = floor if floor is not None else 0.0 if stands(robot) else -math.inf
+    rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, height, payload)
+    hangs = "the arm hangs from its base: nothing keeps the tool from what is below; --floor does"
+    for note in (*robot.notes, *_unlimited(robot, rig), *[hangs] * math.isinf(height)):
         output.note(f"Note: {note}.")
     with output.steps("stating the problem"):
         known = model_sensitivity(rig)

@@ -18,7 +18,9 @@ from rrr_oc.effects import OfEach
 from rrr_oc.errors import UserError, meant
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
-from rrr_oc.simulation.export import mjcf, urdf
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.simulation.agreement import Differences, differences, largest_of
+from rrr_oc.simulation.export import mjcf, urdf_of
 from rrr_oc.simulation.export_into import check_into
 from rrr_oc.simulation.export_into import into as into_mjcf
 from rrr_oc.storage import check_folder, write_text
@@ -58,22 +60,31 @@ def export(
     check_payload(payload)
     found = None if model is None else load_model(model)
     wanted, springs = _designed(design, configuration, task)
-    as_recorded, recorded_files = _recorded(recordings, recording, found, wanted)
+    chosen, recorded_files = _recorded(recordings, recording, found, wanted)
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
     read = [path for path in (model, design, into) if path is not None]
     texts = _trajectories(out, trajectory, rate, design, configuration, wanted)
     written = [out / "arm.xml", out / "arm.urdf", *([] if into is None else [_filled(out, into)]), *texts]
     check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], written)
-    arm, theta, left_out = as_recorded or _arm(found, wanted, springs)
-    made = mjcf(arm, theta, payload)
+    arm, theta, left_out = _arm(found, wanted, springs) if chosen is None or found is None else _as_in(found, chosen)
+    made = mjcf(arm, theta, payload, left_out)
     write_text(out / "arm.xml", made.text)
     files: dict[str, Any] = {"mjcf": str(out / "arm.xml")}
     output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
+    apart, in_urdf = _read_again({"mjcf": out / "arm.xml"}, arm, theta, payload, chosen), list[str]()
     if found is not None:
-        write_text(out / "arm.urdf", urdf(found.urdf, found.robot))
-        files["urdf"] = str(out / "arm.urdf")
+        own, values, more = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
+        as_urdf = urdf_of(found.urdf, own, values, more)
+        write_text(out / "arm.urdf", as_urdf.text)
+        files["urdf"], in_urdf = str(out / "arm.urdf"), [*as_urdf.left_out]
+        apart |= _read_again({"urdf": out / "arm.urdf"}, own, values, 0.0, chosen)
         output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
+    largest = largest_of(apart)
+    if largest is not None:
+        file, quantity, size = largest
+        said = "of what they have, mass matrix, gravity and torques differ from the model's"
+        output.show(f"Read again, {said} by {size:.1g} of the largest at most ({quantity} in the {file.upper()}).")
     if into is not None:
         files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
     for place, text in texts.items():
@@ -81,9 +92,22 @@ def export(
         output.show(f"{place} has the motion of the design at {rate:g} Hz.")
     if texts:
         files["trajectory"] = list(map(str, texts))
-    for one in (*made.left_out, *left_out):
+    for one in made.left_out:
         output.note(f"Not in arm.xml: {one}.")
-    output.result({**files, "not_in_mjcf": [*made.left_out, *left_out]})
+    told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
+    output.result(files | told)
+
+
+def _read_again(files: dict[str, Path], arm: Model, theta: np.ndarray, payload: float, chosen: Recording | None) -> Differences:
+    """How far files are from the model, at the states of a recording or at random; raises `UserError`, and leaves none, if too far."""
+    try:
+        found = differences(files, arm, theta, payload, chosen)
+        largest_of(found)
+    except UserError:
+        for path in files.values():
+            path.unlink()
+        raise
+    return found
 
 
 def _filled(out: Path, user: Path) -> Path:
@@ -137,8 +161,8 @@ def _designed(design: Path | None, configuration: str | None, name: str | None) 
 
 def _recorded(
     dataset: Path | None, name: str | None, found: CalibratedModel | None, task: Task | None
-) -> tuple[tuple[Model, np.ndarray, list[str]] | None, tuple[Path, ...]]:
-    """The arm as it was in a recording, as `_arm` gives it, and the files read; None without --recordings."""
+) -> tuple[Recording | None, tuple[Path, ...]]:
+    """The recording that is chosen, and the files read; None without --recordings."""
     if dataset is None and name is None:
         return None, ()
     if dataset is None or found is None or task is not None:
@@ -151,8 +175,13 @@ def _recorded(
     if chosen is None:
         allowed = ", ".join(r.file for r in recordings.recordings)
         raise UserError(f"--recording is {'missing' if name is None else repr(name)}; allowed are {allowed}")
+    return chosen, recordings.files
+
+
+def _as_in(found: CalibratedModel, chosen: Recording) -> tuple[Model, np.ndarray, list[str]]:
+    """The arm as it was in a recording, as `_arm` gives it."""
     physics = found.physics(chosen)
-    return (physics.built, physics.theta, []), recordings.files
+    return physics.built, physics.theta, []
 
 
 def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings) -> tuple[Model, np.ndarray, list[str]]:

@@ -131,6 +131,7 @@ class Delay(Effect):
 
     side = "sensor"
     placement = "arm"
+    held = True  # whether the estimator finds it first, and holds it while other parameters and their intervals are found
 
     def delay(self, theta: Mapping[str, float]) -> float:
         """By how much what is recorded lags what is true [s]."""
@@ -139,6 +140,21 @@ class Delay(Effect):
     def torque(self, signals, theta, width):
         """None on any joint; the recorded torque is later."""
         return tuple(0 * signals.q[j] for j in self.joints)
+
+
+class LateCommand(Delay):
+    """The commands of a loop act later than they are recorded. This looks like viscous friction, and is estimated with it."""
+
+    recorded_as = ("command",)
+    held = False
+
+    def wait(self, theta: Mapping[str, float]) -> float:
+        """By how much later than it is recorded a command acts [s]."""
+        raise NotImplementedError
+
+    def delay(self, theta):
+        """Torques are as late as positions: 0."""
+        return 0.0
 
 
 class LoopChange(Effect):

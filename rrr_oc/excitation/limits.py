@@ -14,6 +14,7 @@ from rrr_oc.robot.robot import Robot
 PLANNING_WIDTH = 0.1  # rad, rad/s, in each width's unit; laws with narrower transitions are planned for with this width
 UNITS = {"range": "rad", "speed": "rad/s", "acceleration": "rad/s²", "torque": "Nm", "floor": "m"}  # of the limits
 LOOSE = 2.0, 10.0  # speed [rad/s] and acceleration [rad/s²] that sampled states spread to where nothing limits them
+STANDS = 0.2  # share of postures with the tool above the base from which an arm stands; doubled, arms at a wall do not
 NO_LIMIT = 1e6  # rad/s, Nm; a URDF's speed or effort of 0 or beyond this means that none is known
 
 
@@ -60,6 +61,16 @@ def robot_limits(robot: Robot, acceleration: float | np.ndarray = math.inf, floo
     """The limits of a robot's URDF where it has some, and those of which a URDF says nothing."""
     speed, torque = (np.where((x > 0) & (x < NO_LIMIT), x, np.inf) for x in (robot.velocity, robot.effort))
     return Limits(robot.lower, robot.upper, speed, np.broadcast_to(np.asarray(acceleration, float), robot.n), torque, floor)
+
+
+def stands(robot: Robot) -> bool:
+    """Whether an arm stands: in the middle of its ranges, and in some of its postures, the tool is above the base's plane."""
+    limits, model = robot_limits(robot), Model(robot, robot.tool)
+    q = ca.SX.sym("q", robot.n)
+    height = ca.Function("height", [q], [model.tool_height(q)])
+    middle = np.where(limits.lower * limits.upper < 0, 0.0, (limits.lower + limits.upper) / 2)
+    postures = np.asarray(height(states_within(limits, 400, 0)[0]))
+    return float(np.asarray(height(middle)).item()) > -1e-6 and bool(np.mean(postures > 0) > STANDS)
 
 
 @dataclass(frozen=True, eq=False)

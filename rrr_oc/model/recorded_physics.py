@@ -20,6 +20,7 @@ from rrr_oc.numerics.relaxation import relaxed
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
 # Substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
 PARTS = 4
+WAIT = 5e-4  # [s], half the step of derivatives by a wait; doubled, no change
 LATEST = 16  # delays of a motion that are kept; doubled, twice the memory
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # By joint: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
@@ -57,6 +58,7 @@ class Physics:
         widths: Smoothing widths, as in `Model.widths`.
         inertial: Inertial parameters of the links, (10, n).
         delays: By how much the recorded torque of each joint lags the motion [s], (n,); () for none.
+        waits: By how much later than they are recorded the commands of each joint act [s], (n,); () for none.
     """
 
     model: Model
@@ -64,6 +66,7 @@ class Physics:
     widths: np.ndarray
     inertial: np.ndarray
     delays: tuple[float, ...] = ()
+    waits: tuple[float, ...] = ()
     _cache: dict[tuple[Any, ...], tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
@@ -85,7 +88,7 @@ class Physics:
         kept = for_each(own, self.model.effects)
         effects = tuple(effect for effect, stays in zip(self.model.effects, own, strict=True) if stays)
         model = shared_model(self.model.robot, self.model.tool, effects)
-        return Physics(model, self.theta[kept], self.widths, self.inertial, self.delays)
+        return Physics(model, self.theta[kept], self.widths, self.inertial, self.delays, self.waits)
 
     @_kept
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -264,7 +267,23 @@ class Physics:
 
     def recorded(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
         """Torque that the sensors record of a true torque (n, K), by the effects of the side "sensor" and delays, (n, K) [Nm]."""
-        return self.late(motion, self.measured(motion, torque))
+        return self.late(motion, self.measured(motion, torque)) + self._ahead(motion)
+
+    def _ahead(self, motion: Motion) -> np.ndarray | float:
+        """Torque that recorded commands ask for beyond those that act at the time, kp (q_d(t) − q_d(t − delay)), (n, K) [Nm]."""
+        loop, command = getattr(motion, "loop", None), getattr(motion, "command", None)
+        if loop is None or command is None or not any(self.waits):
+            return 0.0
+        return loop.kp[:, None] * (command - later(motion, command, self.waits))
+
+    def by_waits(self, motion: Motion) -> np.ndarray:
+        """Derivative of what is recorded by the time that the commands of its joint wait, (n, K) [Nm/s]; 0 without commands."""
+        loop, command = getattr(motion, "loop", None), getattr(motion, "command", None)
+        if loop is None or command is None:
+            return np.zeros(motion.q.shape)
+        waits = self.waits or (0.0,) * len(command)
+        there, here = (later(motion, command, [wait + more for wait in waits]) for more in (WAIT, -WAIT))
+        return loop.kp[:, None] * (here - there) / (2 * WAIT)
 
     def late(self, motion: Motion, x: np.ndarray) -> np.ndarray:
         """Torques (n, K) as late as they are recorded."""

@@ -92,12 +92,15 @@ class Samples:
 
     def read(self, reading: Reading, given: np.ndarray) -> np.ndarray:
         """The torque at the output [Nm], (n, K), by `torque` as it is read; of commands with the motion as it is read."""
-        given = reading.tau @ given
-        loop = self.recordings.recordings[0].loop
-        if loop is None:
+        given, first = reading.tau @ given, 0
+        if self.recordings.torque != "command":
             return given
-        q, dq, _ = np.concatenate([motion for _, motion, _ in self.motion(reading)], axis=2)
-        return loop.torque(given + reading.zero[:, None], q, dq)
+        parts = []
+        for r, (q, dq, _), _ in self.motion(reading):
+            assert r.loop is not None
+            parts.append(r.loop.torque(given[:, first : first + q.shape[1]] + reading.zero[:, None], q, dq))
+            first += q.shape[1]
+        return np.concatenate(parts, axis=1)
 
     def load(self, reading: Reading, rates: bool = True) -> np.ndarray:
         """Torque that the rigid arm and its listed springs need [Nm], (n, K)."""

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rrr_oc.schema import decimal
 from rrr_oc.storage import read_utf8
 
 _WORD = re.compile(r"([+-]?(nan|inf|infinity))?", re.IGNORECASE)  # cells that hold no number; one without end is refused later
+_STAMP = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d([.,]\d+)?(Z|[+-]\d\d:?\d\d)?")  # date and time of ISO 8601
 DELIMITERS = ",;\t|"  # between cells, beside spaces
 LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
@@ -23,8 +25,9 @@ class Table:
     """A CSV file whose header has been read.
 
     Blank lines, text after `#`, a byte-order mark, CRLF, quotes and spaces around names, and `;`, `|`, tabs or runs of spaces in place
-    of commas are harmless. Where cells are not separated by commas, and none of those that are read has a point, commas are decimal
-    commas. A header may stand behind `#`, where `numpy.savetxt` puts it. An empty cell is a NaN.
+    of commas are harmless. A cell with date and time (ISO 8601) is the seconds since 1970. Where cells are not separated by commas, and
+    none of those that are read has a point, commas are decimal commas. A header may stand behind `#`, where `numpy.savetxt` puts it. An
+    empty cell is a NaN.
 
     Attributes:
         path: The file.
@@ -97,11 +100,22 @@ class Table:
             return value
         if _WORD.fullmatch(cell):
             return float(cell or "nan")
+        if _STAMP.fullmatch(cell.strip("\"'")):
+            return _seconds(cell.strip("\"'"))
         found = cell if len(cell) <= 40 else cell[:40] + "…"
         comma = " with a decimal point," if "," in cell else ""
         raise UserError(
             f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
         )
+
+
+def _seconds(stamp: str) -> float:
+    """Seconds since 1970 of date and time, of UTC where it says no zone; NaN for a day that there is not."""
+    try:
+        at = datetime.fromisoformat(stamp.replace(",", "."))
+    except ValueError:
+        return math.nan
+    return (at if at.tzinfo is not None else at.replace(tzinfo=UTC)).timestamp()
 
 
 def read_table(path: Path) -> Table:

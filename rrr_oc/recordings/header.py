@@ -57,12 +57,15 @@ class Entry(Schema, frozen=True):
         group: Name of a set-up; recordings of one group share what is estimated per set-up; by default the file's name.
         payload: Mass at the tool; a CSV column of that name takes its place [kg].
         springs: Springs that are mounted, by kind.
+        kp, kd: Gains of the loop in this recording, in place of the set's, where `torque` is "command" [Nm/rad], [Nm s/rad].
     """
 
     file: Text
     group: Text | None = None
     payload: Payload = 0.0
     springs: dict[str, Any] = field(default_factory=dict)
+    kp: Gain | None = None
+    kd: Gain | None = None
 
     def __post_init__(self) -> None:
         if PurePosixPath(self.file).is_absolute() or ".." in PurePosixPath(self.file).parts:
@@ -127,7 +130,10 @@ class Header(Schema, frozen=True):
             raise ValueError(
                 f"actuators: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
             )
-        check_gains(self.torque, self.kp, self.kd, self.joints)
+        for i, entry in enumerate(self.recordings):
+            if self.torque != "command" and (entry.kp is not None or entry.kd is not None):
+                raise ValueError(f"recordings[{i}]: has gains of a loop; torque {self.torque!r} has none")
+            check_gains(self.torque, *self._gains(entry), self.joints)
         if self.coupling is not None and self.torque == "command":
             raise ValueError("coupling: is for torques and currents that are recorded; with torque 'command' there is none")
         for kind in ("q", "tau") if self.coupling is not None else ():
@@ -145,10 +151,13 @@ class Header(Schema, frozen=True):
         constant = np.array(self.torque_constant if kind == "tau" and self.torque == "current" else np.ones(len(matrix)), float)
         return np.array(matrix, float) * constant / constant[:, None]
 
-    @property
-    def loop(self) -> Loop | None:
-        """The loop that follows the commands; None where torques or currents are recorded."""
-        return None if self.torque != "command" else Loop(_by_joint(self.kp, self.joints), _by_joint(self.kd, self.joints))
+    def loop(self, entry: Entry) -> Loop | None:
+        """The loop that follows the commands of a recording; None where torques or currents are recorded."""
+        return None if self.torque != "command" else Loop(*(_by_joint(gain, self.joints) for gain in self._gains(entry)))
+
+    def _gains(self, entry: Entry) -> tuple[Gain | None, Gain | None]:
+        """kp and kd in a recording."""
+        return self.kp if entry.kp is None else entry.kp, self.kd if entry.kd is None else entry.kd
 
     @property
     def torque_constant(self) -> tuple[float | None, ...]:

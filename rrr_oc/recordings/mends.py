@@ -22,7 +22,7 @@ BAD, BETTER, GOOD = (
     0.5,
     0.35,
 )  # a joint above the first is poor; a mend leaves the second's share, and no more than the last
-FAIR = 0.7  # share that a mend of several poor joints may leave of each, and NRMSE unless it was `AGAINST`; at 1, springs look like mistakes
+FAIR = 0.7  # share that signs of several poor joints may leave of each, and NRMSE unless it was `AGAINST`; at 1, springs look like mistakes
 AGAINST = 1.2  # NRMSE from which a torque contradicts the arm, whatever physics is missing; at 1, missing springs do
 SPOILT = 1.5  # times its error that a joint may have with a mend; doubled, mends of one joint at the cost of another pass
 SURE = 2.5  # fall of the summed logarithms with which a mend is for any error; at 1.5, an arm with a missing spring gets one
@@ -90,11 +90,15 @@ def score(nrmse: np.ndarray) -> float:
     return float(np.nansum(np.log(np.maximum(nrmse, LEAST_ERROR))))
 
 
-def mended(before: np.ndarray, after: np.ndarray, poor: np.ndarray) -> bool:
-    """Whether every joint that is poor is explained so much better that a mistake is sure; errors (n,) without and with the mend."""
+def mended(before: np.ndarray, hypothesis: Hypothesis, poor: np.ndarray) -> bool:
+    """Whether every joint that is poor is explained so much better that a mistake is sure; errors (n,) without the mend.
+
+    Signs of several joints may leave more than other mistakes, which physics that is missing could resemble.
+    """
+    after, signs = hypothesis.after, all(mistake.kind == "sign" for mistake in hypothesis.mistakes)
     if np.any(after > np.maximum(SPOILT * before, GOOD)):
         return False
-    if np.sum(poor) == 1:
+    if np.sum(poor) == 1 or not signs:
         return bool(np.all((after < np.minimum(BETTER * before, GOOD))[poor]))
     return bool(np.all((after < FAIR * before)[poor] & ((after < FAIR) | (before > AGAINST))[poor]))
 
@@ -104,7 +108,7 @@ def best_of(
 ) -> tuple[Hypothesis, tuple[str, ...]] | None:
     """The best hypothesis, and its rivals in words; None where none is sure. Errors before (n,), and which joints are poor (n,)."""
     if poor.any():
-        sure = [h for h in hypotheses if mended(before, h.after, poor) and h.cost < score(before)]
+        sure = [h for h in hypotheses if mended(before, h, poor) and h.cost < score(before)]
     else:
         sure = [h for h in hypotheses if len(h.mistakes) == 1 and _explains(before, h.after)]
     if not sure:

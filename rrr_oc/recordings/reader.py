@@ -89,7 +89,8 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         segments = split(columns["t"])
         turned = _unwrap(columns, robot.joints, segments)
         _couple(columns, robot.joints, recorded, header)
-        if header.loop is not None:
+        loop = header.loop(entry)
+        if loop is not None:
             _turn_commands(columns, turned)
         filled = _fill_rates(columns, robot.joints, segments)
         wrong = _faults(table, columns, ignored, robot, segments)
@@ -97,14 +98,14 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         rates = _compare_rates(str(path), columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = signal = np.array([columns[name] for name in recorded])
-        if header.loop is not None:
+        if loop is not None:
             plausibility.check_commands(str(path), robot, signal, q)
-            tau = header.loop.torque(signal, q, dq)
+            tau = loop.torque(signal, q, dq)
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
-            command=None if header.loop is None else signal, loop=header.loop,
+            command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -313,7 +314,7 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
         plausibility.check_slowness(where, robot, r.t, r.q, r.dq)
     unit = UNIT_OF.get(header.torque, "Nm")
     constants = np.array(header.torque_constant, float) if unit == "A" else np.ones(robot.n)
-    if header.loop is None:
+    if recording.loop is None:
         plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
     else:
         plausibility.check_loop(where, robot, r.tau)

@@ -30,13 +30,13 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
         "gravity": robot.gravity.tolist(),
         "tool": {"link": robot.links[tool.joint], "position": (pose[:3, :3].T @ (tool.position - pose[:3, 3])).tolist()},
         "actuators": constants({j: k for j, k in zip(robot.joints, recordings.torque_constant, strict=True) if k is not None}),
-        **_gains(recordings),
         "fixed_deg": {joint: float(np.degrees(angle)) for joint, angle in robot.held.items()},
     }
     tables = {r.file: _table(r, robot.joints, recordings.torque) for r in recordings.recordings}
     entries = []
     for r in recordings.recordings:
         entry = {"file": r.file, "group": r.group, "springs": spring_json(r.springs, robot.joints)}
+        entry |= _gains(r, robot.joints)
         entries.append(entry if "payload" in tables[r.file] else {**entry, "payload": float(r.payload[0])})
     write_set(folder, recordings.source, {**header, "recordings": entries}, tables)
 
@@ -95,13 +95,12 @@ def write_set(
     return replace(written, path=folder, source=source if bundled else folder / robot)
 
 
-def _gains(recordings: RecordingSet) -> dict[str, dict[str, float]]:
-    """The keys `kp` and `kd` of a set with commands; none of any other."""
-    loop = recordings.recordings[0].loop
-    if loop is None:
+def _gains(recording: Recording, joints: Sequence[str]) -> dict[str, dict[str, float]]:
+    """The keys `kp` and `kd` of a recording with commands; none of any other."""
+    if recording.loop is None:
         return {}
-    gains = (("kp", loop.kp), ("kd", loop.kd))
-    return {key: dict(zip(recordings.joints, gain.tolist(), strict=True)) for key, gain in gains}
+    gains = (("kp", recording.loop.kp), ("kd", recording.loop.kd))
+    return {key: dict(zip(joints, gain.tolist(), strict=True)) for key, gain in gains}
 
 
 def _table(recording: Recording, joints: Sequence[str], torque: str) -> dict[str, np.ndarray]:

@@ -3,6 +3,8 @@
 import importlib.resources
 import os
 import re
+import shutil
+import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ElementTree
@@ -33,6 +35,8 @@ _TOOL = re.compile(  # usual names of a tool frame
     r"(^|[_/])(tool0?|tcp|ee|end_effector|flange|attachment|attachment_site)($|[_/])", re.IGNORECASE
 )
 
+_XACRO = re.compile(r"<xacro:\w")  # an element of a xacro
+XACRO_TIME = 60.0  # [s] that xacro may take; doubled, a user waits as long for a file that never ends
 _MJCF = re.compile(r"(?>\s+|<\?.*?\?>|<!--.*?-->)*+<mujoco[\s>]", re.DOTALL)  # how such a file begins; without backtracking
 
 
@@ -223,7 +227,29 @@ def urdf_text(source: str | Path) -> str:
     if path.is_dir() or not path.exists():
         raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or MJCF, or one of {', '.join(BUNDLED)}")
     text = _decoded(path, read_regular(path))
+    if _XACRO.search(text):
+        return _expanded(path)
     return mjcf_as_urdf(path) if _MJCF.match(text) else text
+
+
+def _expanded(path: Path) -> str:
+    """The URDF that a xacro becomes; raises `UserError` where the tool is not there, or refuses it."""
+    tool = shutil.which("xacro")
+    if tool is None:
+        raise UserError(
+            f"{path}: is a xacro, of which the tool xacro makes a URDF, and which is not installed here; where ROS or pip install xacro is: "
+            f"xacro {path.name} > {path.name.split('.')[0]}.urdf, with the arguments that its package gives"
+        )
+    try:
+        done = subprocess.run([tool, str(path)], capture_output=True, text=True, timeout=XACRO_TIME, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UserError(f"{path}: xacro does not run: {error}") from None
+    if done.returncode or _XACRO.search(done.stdout):
+        last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise UserError(
+            f"{path}: xacro refuses it: {last[:300]}; xacro {path.name} > arm.urdf, with its arguments, makes a URDF"
+        )
+    return done.stdout
 
 
 def _decoded(path: Path, data: bytes) -> str:

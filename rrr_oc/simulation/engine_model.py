@@ -233,7 +233,7 @@ def assembled(
         forms: Which effects take MuJoCo's own forms: those of simulations, `NativeTwin`, or those of files, `ExportTwin`.
     """
     offset = np.array(ca.evalf(generated_c.shift(model, theta))).reshape(-1)
-    body = _body(model, theta)
+    body = body_of(model, theta)
     robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
     spec = build_spec(robot, replace(model.tool, position=body.position), control, settings)
     elastic = any(effect.moves_link for effect in model.effects)
@@ -246,7 +246,7 @@ def assembled(
     return spec, body, generated
 
 
-def _body(model: Model, theta: np.ndarray) -> Body:
+def body_of(model: Model, theta: np.ndarray) -> Body:
     """The rigid body changed by the effects of the side "body", in numbers; its `payload` is mass beyond the listed payload."""
     robot, numbers = model.robot, iter(theta.tolist())
     body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())

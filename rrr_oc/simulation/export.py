@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from rrr_oc.effects import Clutched, Effect, ExportTwin, LinkSpring, NativeTwin, OnlyRecorded, SpringChange
+from rrr_oc.effects import BodyChange, Clutched, Effect, ExportTwin, LinkSpring, NativeTwin, OnlyRecorded, SpringChange
 from rrr_oc.errors import UserError
 from rrr_oc.model.parameters import for_each
 from rrr_oc.model.symbolic_model import Model
@@ -20,7 +20,7 @@ from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.mjcf import built, refusal
 from rrr_oc.robot.robot import Robot
 from rrr_oc.robot.urdf import posed
-from rrr_oc.simulation.engine_model import Settings, assembled, controller
+from rrr_oc.simulation.engine_model import Settings, assembled, body_of, controller
 from rrr_oc.simulation.generated_c import PAYLOAD
 
 THICKNESS = 0.08  # radius of a link that is drawn, as a share of the arm's mean link; doubled, a thicker arm
@@ -38,7 +38,7 @@ class Exported:
     left_out: tuple[str, ...]
 
 
-def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0) -> Exported:
+def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0, without: Sequence[str] = ()) -> Exported:
     """A model as MJCF, which needs nothing of this package: effects in MuJoCo's own forms, joint limits, one motor a joint.
 
     Links are drawn as capsules without mass that touch nothing. Dry friction, viscous friction and armature are the joints' own
@@ -48,6 +48,7 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     Args:
         theta: Parameters of the effects, as in `Model.theta`.
         payload: Listed mass at the tool [kg].
+        without: What else is not in the file, one sentence each.
 
     Raises:
         UserError: MuJoCo refuses the robot.
@@ -59,17 +60,14 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     spec.body(PAYLOAD).mass = payload + body.payload
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
-    left_out += without_form(model, generated)
+    left_out += [*without_form(model, generated), *without]
     if not _made_possible(spec):
         left_out.append("moments of inertia that no body has: the largest is the two others' sum")
     try:
         built(spec)
     except ValueError as error:
         raise UserError(f"MuJoCo refuses robot {robot.name!r}: {refusal(error)}") from None
-    text = spec.to_xml()
-    if left_out:
-        text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
-    return Exported(text, tuple(left_out))
+    return Exported(listed(left_out) + spec.to_xml(), tuple(left_out))
 
 
 def _made_possible(spec: mujoco.MjSpec) -> bool:
@@ -183,6 +181,34 @@ def _draw(spec: mujoco.MjSpec, robot: Robot, tool: np.ndarray) -> None:
             )
         else:
             spec.body(link).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], **looks)
+
+
+def urdf_of(text: str, model: Model, theta: Sequence[float] | np.ndarray, without: Sequence[str] = ()) -> Exported:
+    """The URDF with the links of a model, changed as its effects say, and a comment that lists what it has no form of.
+
+    Args:
+        text: URDF that the robot was read from.
+        theta: Parameters of the effects, as in `Model.theta`.
+        without: What else is not in the file, one sentence each.
+    """
+    model, theta, left_out = as_in_a_file(model, theta)
+    left_out += without
+    body = body_of(model, theta)
+    left_out += [
+        f"{model.label(effect)}: a URDF has no form of it" for effect in model.effects if not isinstance(effect, BodyChange)
+    ]
+    if not np.allclose(body.gravity, model.robot.gravity):
+        left_out.append("gravity: a URDF has none")
+    if body.payload:
+        left_out.append(f"a mass of {body.payload:.4g} kg at the tool")
+    written, head = urdf(text, replace(model.robot, inertial=body.inertial)), '<?xml version="1.0"?>\n'
+    return Exported(head + listed(left_out) + written.removeprefix(head), tuple(left_out))
+
+
+def listed(left_out: Sequence[str]) -> str:
+    """A comment with what a file does not have, one a line; "" where that is nothing."""
+    lines = "".join(f"  {one.replace('--', '-')}\n" for one in left_out)
+    return f"<!-- Not in this file:\n{lines}-->\n" if left_out else ""
 
 
 def urdf(text: str, robot: Robot) -> str:

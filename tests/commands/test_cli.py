@@ -195,7 +195,8 @@ MISTAKES = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypatch, tmp_path, capsys):
-    text, table = (folder / "set" / "recordings.json").read_text(), (folder / "set" / "0.csv").read_text()
+    text = (folder / "set" / "recordings.json").read_text()
+    table, other = ((folder / "set" / file).read_text() for file in ("0.csv", "1.csv"))
     absurd = table.replace(table.splitlines()[9].split(",")[2], "1e200", 1)
     for name, header, rows in (
         ("truncated", text[: len(text) // 2], table),
@@ -205,12 +206,12 @@ def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypat
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "recordings.json").write_text(header)
-        for file in ("0.csv", "1.csv"):
-            (tmp_path / name / file).write_text(rows)
+        (tmp_path / name / "0.csv").write_text(rows)
+        (tmp_path / name / "1.csv").write_text(other.replace("tau_joint2", "tau_j2") if name == "column" else other)
     (tmp_path / "named").mkdir()
     (tmp_path / "named" / "recordings.json").write_text(text.replace("0.csv", "model.json"))
     (tmp_path / "named" / "model.json").write_text(table)
-    (tmp_path / "named" / "1.csv").write_text(table)
+    (tmp_path / "named" / "1.csv").write_text(other)
     (tmp_path / "unknown.toml").write_text("[stribek]\nprobability = 0.5\n")
     (tmp_path / "certain.toml").write_text("[stribeck]\nprobability = 1\n")
     arguments, said = MISTAKES[mistake]

@@ -14,7 +14,7 @@ from rrr_oc.excitation import design as excitation
 from rrr_oc.excitation.design import Search, excite
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import INERTIAL, Information, Sensitivity, information, model_sensitivity
-from rrr_oc.excitation.limits import Limits, Rig, robot_limits, signals
+from rrr_oc.excitation.limits import Limits, Rig, robot_limits, signals, stands
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, load_robot, urdf_text
 from studies.paper.sweeps import PROTOTYPE_SWEEP, sweep
@@ -305,3 +305,11 @@ def test_limits_of_a_urdf_that_has_none():
     limits = robot_limits(robot)
     assert limits.torque.tolist() == [np.inf, 5.0, np.inf]
     assert limits.speed.tolist() == [1.0, np.inf, np.inf]
+
+
+def test_an_arm_stands_unless_it_hangs_from_its_base(tmp_path):
+    """The bundled arm stands; the same arm under a ceiling, and a pendulum, hang."""
+    assert stands(load_robot("rrr"))
+    assert not stands(load_robot("rrr", gravity=(0.0, 0.0, 9.81)))
+    (tmp_path / "arm.urdf").write_text(arm(2).replace('xyz="0.3 0 0"', 'xyz="0 0 -0.3"'))
+    assert not stands(load_robot(tmp_path / "arm.urdf"))

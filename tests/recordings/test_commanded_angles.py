@@ -16,6 +16,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.storage import write_csv
 
 JOINTS = ("joint1", "joint2", "joint3")
 KP, KD = {"joint1": 400.0, "joint2": 600.0, "joint3": 300.0}, {"joint1": 4.0, "joint2": 6.0, "joint3": 0.0}
@@ -57,6 +58,27 @@ def test_torques_are_those_of_the_loop(tmp_path, gains):
     np.testing.assert_allclose(found.output_torque(r), tau, atol=1e-9)
     assert not r.ignored
     assert found.torque == "command"
+
+
+def test_gains_may_differ_by_recording(tmp_path):
+    """Torques, a copy of the set, and the check are those of each recording's own gains."""
+    columns, tau = arm_columns()
+    write(tmp_path, columns)
+    softer = columns | {
+        f"command_{j}": columns[f"q_{j}"] + (tau[i] + KD[j] * columns[f"dq_{j}"]) / 250 for i, j in enumerate(JOINTS)
+    }
+    write_csv(tmp_path / "b.csv", softer)
+    header = HEADER | {"recordings": [{"file": "a.csv"}, {"file": "b.csv", "kp": 250}]}
+    (tmp_path / "recordings.json").write_text(json.dumps(header))
+    found = load_recordings(tmp_path)
+    save_recordings(found, tmp_path / "copy")
+    for one in (found, load_recordings(tmp_path / "copy")):
+        for r in one.recordings:
+            np.testing.assert_allclose(r.tau, tau, atol=1e-9)
+    assert check_consistency(found).doubts == ()
+    (tmp_path / "recordings.json").write_text(json.dumps(header | {"torque": "motor"}))
+    with pytest.raises(UserError, match=r"recordings\[1\]: has gains of a loop; torque 'motor' has none"):
+        load_recordings(tmp_path)
 
 
 def test_a_set_that_is_written_is_the_same_again(tmp_path):

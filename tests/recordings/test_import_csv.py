@@ -255,3 +255,63 @@ def test_a_column_without_numbers_is_named_as_the_file_has_it(column, name, tmp_
         UserError, match=rf"log\.csv, line 1: column '{column}', which .*mapping\.toml takes for '{name}', holds no number"
     ):
         import_csv([file], "rrr", tmp_path / "set", mapping)
+
+
+def test_dates_and_times_are_seconds(tmp_path):
+    """In a log of one's own and in a set's own files; of any zone, with and without fractions."""
+    log, mapping = write(tmp_path)
+    rows = log.read_text().splitlines()
+    stamps = [f"2026-03-29T01:59:{59 + t:06.3f}+01:00" if t < 0.995 else f"2026-03-29 01:00:{t - 1:06.3f}Z" for t in T]
+    log.write_text("\n".join([rows[0], *(f"{at};{row.partition(';')[2]}" for at, row in zip(stamps, rows[1:], strict=True))]))
+    mapping.write_text(MAPPING.replace('{ column = "stamp", unit = "ms" }', '"stamp"'))
+    (found,) = import_csv([log], "rrr", tmp_path / "set", mapping).recordings
+    np.testing.assert_allclose(found.t, T, atol=1e-6)
+    np.testing.assert_allclose(found.q, Q, atol=1e-9)
+
+
+COUNTS = np.round(400 * np.sin(3 * T))
+BIT = np.where(COUNTS < 0, 1024 - COUNTS, COUNTS)  # the size, and bit 10 below 0
+LOADS = """
+torque = "current"
+joints = ["joint1", "joint2"]
+[torque_constant]
+joint1 = 0.01
+joint2 = 0.01
+[columns]
+t = "t"
+q_joint1 = "a"
+q_joint2 = "b"
+current_joint1 = { column = "load1", unit = "raw", sign_bit = 10 }
+current_joint2 = { column = "load2", unit = "raw", sign_bit = 10, factor = -1 }
+"""
+
+
+def loads(folder: Path, mapping: str, second: np.ndarray = BIT) -> np.ndarray:
+    """Currents of two joints (2, K) as they are read."""
+    table = np.array([T, *Q[:2], BIT, second]).T
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="t,a,b,load1,load2", comments="")
+    (folder / "map.toml").write_text(mapping)
+    (found,) = import_csv([folder / "log.csv"], "rrr", folder / "set", folder / "map.toml").recordings
+    return found.tau
+
+
+def test_counts_with_a_sign_bit_are_numbers_of_either_sign(tmp_path):
+    np.testing.assert_array_equal(loads(tmp_path, LOADS), [COUNTS, -COUNTS])
+
+
+@pytest.mark.parametrize(
+    ("mapping", "second", "said"),
+    [
+        (LOADS.replace(", sign_bit = 10", ""), BIT, "column 'load1' has counts from 0 to 1424"),
+        (LOADS, COUNTS, "column 'load2' has other cells than counts from 0 to 2047, of which bit 10 may be a sign"),
+        (LOADS.replace("sign_bit = 10", "sign_bit = 40"), BIT, "sign_bit: found 40"),
+    ],
+    ids=["not said", "of both signs", "no bit"],
+)
+def test_counts_that_are_misunderstood_are_refused(tmp_path, mapping, second, said):
+    with pytest.raises(UserError, match=said):
+        loads(tmp_path, mapping, second)
+
+
+def test_counts_are_read_as_they_are_where_that_is_said(tmp_path):
+    np.testing.assert_array_equal(loads(tmp_path, LOADS.replace("sign_bit = 10", "sign_bit = 0")), [BIT, -BIT])

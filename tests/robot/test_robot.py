@@ -424,3 +424,27 @@ def test_masses_in_grams_are_said(load):
     assert note == "link 'l1' weighs 1869 kg, which nothing of its size, 0.3 m, does; are masses in g?"
     assert load(text, inertial=False).notes == ()
     assert load(text.replace('xyz="0.3 0 0"', 'xyz="1.2 0 0"')).notes == ()
+
+
+XACRO = '<robot name="made_up" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>'
+
+
+def test_a_xacro_is_named_with_what_to_do(tmp_path, monkeypatch):
+    (tmp_path / "arm.urdf.xacro").write_text(XACRO)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(UserError, match=r"is a xacro, of which the tool xacro makes a URDF.*xacro arm.urdf.xacro > arm.urdf"):
+        load_robot(tmp_path / "arm.urdf.xacro")
+
+
+def test_a_xacro_is_expanded_where_the_tool_is(tmp_path, monkeypatch):
+    """The tool is stood in for by a script that gives a URDF, or refuses."""
+    (tmp_path / "arm.xacro").write_text(XACRO)
+    (tmp_path / "made.urdf").write_text(arm(2))
+    tool = tmp_path / "xacro"
+    tool.write_text(f"#!/bin/sh\n/bin/cat {tmp_path / 'made.urdf'}\n")
+    tool.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert load_robot(tmp_path / "arm.xacro").joints == ("j1", "j2")
+    tool.write_text("#!/bin/sh\necho No such file: arm.xacro >&2\nexit 2\n")
+    with pytest.raises(UserError, match=r"xacro refuses it: No such file: arm\.xacro"):
+        load_robot(tmp_path / "arm.xacro")

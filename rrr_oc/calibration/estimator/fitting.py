@@ -20,12 +20,13 @@ from rrr_oc.calibration.estimator.evidence import (
     root_of_covariance,
     solve,
 )
-from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, INNER_CYCLE
 from rrr_oc.calibration.estimator.left_out import std_by_blocks
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import shortened
 from rrr_oc.effects import Delay, Effect
+from rrr_oc.effects.friction.viscous_friction import ViscousFriction
 from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
@@ -128,7 +129,7 @@ class PlainFitter:
 
     def holding(self, delay: float, fitted: Fitted) -> tuple[Self, Fitted]:
         """What holds a delay of all torques, and a fit with it."""
-        held = [t.with_values(np.array([delay])) if isinstance(t.effect, Delay) else t for t in fitted.model.terms]
+        held = [t.with_values(np.array([delay])) if is_held(t.effect) else t for t in fitted.model.terms]
         holding = replace(self, holds_delays=True)
         return holding, holding.fit(replace(fitted.model, terms=tuple(held)), fitted.links, fitted.posterior)
 
@@ -256,7 +257,7 @@ class PlainFitter:
         near = self._least_squares(fitted)
         cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
         found = replace(self, data=cleared, holds_delays=True)._least_squares(near, fitted)
-        of_noise = bent(found.posterior, fitted.posterior.hyper.discrepancy)
+        of_noise = np.hstack([bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)])
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
         whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
         std, number = std_by_blocks(found.posterior)
@@ -316,7 +317,7 @@ class PlainFitter:
         f = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
         farthest, number = np.full(k, self.farthest), np.arange(end)
-        delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
+        delays = np.array([is_held(t.effect) for t in model.terms[:base] for _ in t.estimates], bool)
         std = np.where(delays & self.holds_delays, HELD, self.plain_std)
         return ParameterPrior(
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
@@ -335,9 +336,14 @@ class PlainFitter:
         return np.zeros((5, 0))
 
 
+def is_held(effect: Effect) -> bool:
+    """Whether an effect is a delay that is held where others are found."""
+    return isinstance(effect, Delay) and effect.held
+
+
 def delays_of(fitted: Fitted) -> np.ndarray:
-    """Numbers of the delays among the parameters of a fit's terms."""
-    return np.flatnonzero([isinstance(t.effect, Delay) for t in fitted.model.terms for _ in t.estimates])
+    """Numbers of the delays that are held among the parameters of a fit's terms."""
+    return np.flatnonzero([is_held(t.effect) for t in fitted.model.terms for _ in t.estimates])
 
 
 def variances_of_delays(fitted: Fitted) -> np.ndarray:
@@ -380,6 +386,20 @@ def bent(post: Posterior, size: np.ndarray) -> np.ndarray:
         for one, columns, s, sigma in zip(post.joints, post.columns, size, post.hyper.sigma, strict=True)
     ]
     return root @ (root.T @ np.hstack(slopes))
+
+
+def by_inner_loop(fitted: Fitted) -> np.ndarray:
+    """Root of the covariance of the parameters since a loop acts on positions that are up to a cycle old, (p, loops).
+
+    A position that is late by a time asks for kp times that less viscous friction, which nothing tells apart.
+    """
+    loops = [p.recording.loop for p in fitted.posterior.data.prepared if p.recording.loop is not None]
+    kinds = [t.effect for t in fitted.model.terms[: fitted.base] for _ in t.estimates]
+    at = [(i, e.joints[0]) for i, e in enumerate(kinds) if loops and isinstance(e, ViscousFriction)]
+    result = np.zeros((len(fitted.posterior.matrix), len(at)))
+    for column, (i, j) in enumerate(at):
+        result[i, column] = INNER_CYCLE * np.mean([loop.kp[j] for loop in loops])
+    return result
 
 
 def plain_std(data: Data) -> np.ndarray:

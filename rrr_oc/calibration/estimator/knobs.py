@@ -10,6 +10,8 @@ DISCREPANCY = 0.003
 FRICTION_DISCREPANCY = 0.05
 # Time by which the recorded torque, speed and acceleration of a joint may be apart [s]; doubled, short delays are claimed later.
 CLOCK_ERROR = 0.003
+# Age of the positions on which a loop acts whose commands are recorded [s]; doubled, viscous friction is known half as well there.
+INNER_CYCLE = 0.001
 # Share by which a link's mass in the URDF may be wrong; doubled, a wrong mass is claimed later.
 MASS_ERROR = 0.03
 # Distance by which a link's centre of mass in the URDF may be wrong [m]; doubled, laws of the position are claimed later.

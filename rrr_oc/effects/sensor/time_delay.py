@@ -23,6 +23,7 @@ class TimeDelay(Delay, ExportTwin):
     amplitudes = ("delay",)
     scope = "set_up"
     step = 1e-3
+    recorded_as = ("motor", "load", "current")  # of commands, `command_delay` is a part of every model
     prior = Prior(0.03, {"delay": (0.005, "")}, "cycles of field buses and filters of currents: 1 to 10 ms")
 
     def delay(self, theta):

@@ -19,5 +19,4 @@ class TorqueLag(TimeDelay):
     role = "plain"
     scope = "everywhere"
     placement = "joint"
-    recorded_as = ("motor", "load", "current")  # of commands, the torque follows from the motion itself
     prior = Prior(1.0, {"delay": (0.003, "")}, "cycles of field buses, held torques and filters of currents: some ms")

@@ -15,6 +15,8 @@ from rrr_oc.recordings.writer import constants
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.schema import Payload, Schema, Text, check_names, spellings
 
+MOST_BITS = 31  # of counts with a sign
+ONE_SIGN = 0.02  # share of counts with and without it from which they have two signs; doubled, motions to one side are missed
 TURN = 2 * math.pi  # [rad] of a revolution
 # Units of one's own that are read, by quantity, the SI unit first, each with its size in that unit
 UNITS: dict[str, dict[str, float]] = {
@@ -42,6 +44,17 @@ QUANTITIES = {  # by what a column's name begins with
 }
 
 
+def looks_signed(counts: np.ndarray) -> bool:
+    """Whether counts (K,) are sizes below 1024 of which some have bit 10 as a sign: on either side of 1024, and none just below."""
+    inside = counts.size > 0 and bool(np.all((counts >= 0) & (counts < 2048) & (counts % 1 == 0)))
+    if not inside:
+        return False
+    negative = counts >= 1024
+    sizes = counts % 1024
+    several = ONE_SIGN < np.mean(negative) < 1 - ONE_SIGN
+    return bool(several and sizes.max() < 1000 and np.min(counts[negative]) - np.max(counts[~negative]) > 0)
+
+
 class Column(Schema, frozen=True):
     """Where a column of the set comes from: its value is factor (cell − zero), in the unit given.
 
@@ -50,18 +63,43 @@ class Column(Schema, frozen=True):
         unit: Unit of its cells; by default the SI unit.
         factor: Multiplies the cells, such as -1 for a joint that turns the other way, or 1/gear ratio for an angle of the motor.
         zero: What your column reads where the URDF has zero, in the unit of the cells.
+        sign_bit: Number of the bit that is set where a count is below 0, the others being its size; 10 of the loads of many serial servos.
+            0 where there is none. Default: 0, and counts that look so are refused.
     """
 
     column: Text
     unit: Text | None = None
     factor: float = 1.0
     zero: float = 0.0
+    sign_bit: int | None = None
 
     def __post_init__(self) -> None:
+        if self.sign_bit is not None and not 0 <= self.sign_bit <= MOST_BITS:
+            raise ValueError(f"sign_bit: found {self.sign_bit}; 0 (none) to {MOST_BITS} is allowed")
         if not 0 < abs(self.factor) < math.inf:
             raise ValueError(f"factor: found {self.factor:g}; a finite number other than 0 is required")
         if not math.isfinite(self.zero):
             raise ValueError(f"zero: found {self.zero:g}; a finite number is required")
+
+    def signed(self, where: str, cells: np.ndarray) -> np.ndarray:
+        """The cells (K,) as numbers of either sign.
+
+        Raises `UserError` for counts in whose place a sign and a size may stand, where nothing says so, and cells that are none with a sign.
+        """
+        known = cells[np.isfinite(cells)]
+        if self.sign_bit is None and self.unit == "raw" and looks_signed(known):
+            raise UserError(
+                f"{where}: column {self.column!r} has counts from 0 to {known.max():g}, and none from {known[known < 1024].max():g} to 1024: "
+                "bit 10 looks like their sign; sign_bit = 10 reads them so, and sign_bit = 0 as they are"
+            )
+        if not self.sign_bit:
+            return cells
+        most = 2 ** (self.sign_bit + 1)
+        if np.any((known < 0) | (known >= most) | (known % 1 != 0)):
+            counts = f"counts from 0 to {most - 1}, of which bit {self.sign_bit} may be a sign"
+            raise UserError(f"{where}: column {self.column!r} has other cells than {counts}")
+        size = cells % (most // 2)
+        return np.where(cells >= most // 2, -size, size)
 
 
 class ColumnMapping(Schema, frozen=True):
@@ -136,7 +174,7 @@ class Understood:
             if len(row) and np.isnan(row).all():
                 raise UserError(f"{file}: column {source.column!r}, which {self.where} takes for {name!r}, holds no number")
         columns = {
-            name: source.factor * size * (row - source.zero)
+            name: source.factor * size * (source.signed(file, row) - source.zero)
             for (name, (source, size)), row in zip(self.sources.items(), cells, strict=True)
         }
         if self.rate is not None:
