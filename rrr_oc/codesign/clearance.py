@@ -155,7 +155,7 @@ class Surroundings(Struct, frozen=True):
         """
         if not np.isfinite(self.floor) and not self.keep_outs:
             return []
-        links, ends = _links(robot, tool, moving[0]), _ends(robot, tool)
+        links, ends = _links(robot, tool, moving[0]), link_ends(robot, tool)
         angles = np.tile(rest, (POSTURES, 1))
         angles[:, list(moving)] += np.random.default_rng(0).uniform(-2, 2, (POSTURES, len(moving)))
         drawn, points = np.array([np.array(ends(posture)) for posture in angles]), ends(q)
@@ -178,12 +178,12 @@ class Surroundings(Struct, frozen=True):
 
 
 def _links(robot: Robot, tool: ToolPoint, first: int) -> list[tuple[int, int, str]]:
-    """Where the links from the first moving one on begin and end, as indices of `_ends`, and their names."""
+    """Where the links from the first moving one on begin and end, as columns of `link_ends`, and their names."""
     chain = [(j, j + 1, f"the link of {robot.joints[j]}") for j in range(first, robot.n - 1)]
     return [*chain, (tool.joint, robot.n, TOOL)]
 
 
-def _ends(robot: Robot, tool: ToolPoint) -> ca.Function:
+def link_ends(robot: Robot, tool: ToolPoint) -> ca.Function:
     """Angles (n,) -> the joints' origins and the tool's point [m], (3, n + 1), in the base frame."""
     q = ca.SX.sym("q", robot.n)
     frames = rigid_body(robot).joint_frames(q)

@@ -34,6 +34,18 @@ class Metrics(Struct, frozen=True, forbid_unknown_fields=True):
     peak: dict[str, float]
 
 
+class OfMotors(Metrics, frozen=True):
+    """Metrics of the motor torque that a motion needs of given motors and gears, at the joint's output; its E1 is the motor torque squared.
+
+    Attributes:
+        work_J: Work that the motors do; what flows back does not count.
+        electrical_J: Electrical energy (Eq. 11); null where a winding resistance is unknown.
+    """
+
+    work_J: float
+    electrical_J: float | None = None
+
+
 class Tracking(Metrics, frozen=True):
     """Metrics of the load torque in MuJoCo.
 
@@ -209,6 +221,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
         start: Angles by joint where the arm takes the payload [rad].
         release: Angles by joint where it lets it go [rad].
         lowest_tool_m: Height of the lowest point of the tool above the base.
+        motors: What the motors do; null where they are not known.
         lowest_link_m: The same of the lines from joint to joint; null where a file does not say it.
         turns: Least and greatest deflection of each helical spring in the motion [rad], by label; of one across two joints about the
             first of them.
@@ -241,6 +254,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
     foreseen: Foreseen | None = None
     turns: dict[str, tuple[float, float]] = {}
     lowest_link_m: float | None = None
+    motors: OfMotors | None = None
 
 
 class Bought(Coverage, frozen=True, forbid_unknown_fields=True, kw_only=True):

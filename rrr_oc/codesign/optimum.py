@@ -274,6 +274,27 @@ def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = 
     return {"E1": sum(by_joint["E1_joint"].values()), **by_joint}
 
 
+def describe_motors(design: CoDesign, motion: SampledMotion) -> dict[str, Any] | None:
+    """The metrics of `describe` of the motor torque along a motion, "work_J" and "electrical_J"; None where the design has no actuators.
+
+    Drives move as the links, unless springs stand between them.
+    """
+    motors = design.actuators
+    if motors is None:
+        return None
+    drives, spans, work, electrical = motion.of_drives(motion.twist), [], 0.0, 0.0
+    for k in motion.segments:
+        t, dq, ddq = drives.t[k], drives.dq[:, k], drives.ddq[:, k]
+        torque = np.array(motors.motor_from_load(dq, ddq, motion.tau_load[:, k]))
+        spans.append((t, torque))
+        work += float(np.trapezoid(np.maximum(torque * dq, 0).sum(axis=0), t))
+        if np.all(np.isfinite(motors.resistance)):
+            power = np.array(motors.exact_power(dq, torque / motors.torque_constant[:, None]))
+            electrical += float(np.trapezoid(power.sum(axis=0), t))
+    known = bool(np.all(np.isfinite(motors.resistance)))
+    return describe(design, measure(spans)) | {"work_J": work, "electrical_J": electrical if known else None}
+
+
 def describe_simulation(design: CoDesign, solution: Solution, motion: SampledMotion) -> dict[str, Any]:
     """The paper's metrics of the engine's load torque with smoothed springs (generated C), and under "exact_springs" with exact ones.
 

@@ -29,6 +29,7 @@ from rrr_oc.codesign.optimum import (
     beyond_known,
     check_simulation,
     describe,
+    describe_motors,
     describe_simulation,
     embedded,
     idle_springs,
@@ -59,6 +60,7 @@ from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_tasks, w
 from rrr_oc.codesign.transfer import (
     check_transfer,
     describe_transfer,
+    motors_of,
     of_all_joints,
     uncalibrated,
     unknown_joints,
@@ -71,9 +73,10 @@ from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 from rrr_oc.parallel import ordered, unordered
 from rrr_oc.progress import Progress, Step
-from rrr_oc.robot.drives import Actuators, load_actuators
+from rrr_oc.robot.drives import Actuators, actuators_of, load_actuators
 from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_npz
 
+OF_MODEL = "model"  # the actuators that a calibrated model describes
 CHEAPER = 1e-4  # [1] share by which a design with idle springs must be cheaper for the stiff arm to be solved from its motion
 Published = Callable[[str], Mapping[str, float]]  # hardware that was published for a configuration, empty where none was
 
@@ -88,8 +91,10 @@ class Request:
         configurations: Names as in `rrr_oc.codesign.springs.configurations`; None for all that the tasks offer.
         search: Options of every search.
         cost: Of `COSTS`.
-        actuators, catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others.
-            There is no catalogue by default where springs have a price.
+        actuators: A JSON file, "prototype", "model" for those of `model`, or "none"; by default the task's own, or the prototype's for the
+            bundled tasks.
+        catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others, and none where
+            springs have a price.
         model: The file of a calibrated model, in which every optimum is tracked.
         repaired: Whether designs are made for the arm as this model has it.
         front: Number of optima between that of a set of tasks and that of its first task.
@@ -125,10 +130,12 @@ class Request:
             raise UserError(f"--over is {self.over} and --price is {self.price:g}; only one of them is allowed")
         if self.price is not None and self.catalogue not in (None, "none"):
             raise UserError(f"--price is {self.price:g} and --catalogue is {self.catalogue!r}; only one of them is allowed")
-        bundled = "prototype" if self.bundled else None
-        for name, default in (("actuators", bundled), ("catalogue", None if self.price is not None else bundled)):
-            given = getattr(self, name)
-            object.__setattr__(self, name, default if given is None else None if given == "none" else given)
+        if self.actuators == OF_MODEL and self.model is None:
+            raise UserError(f"--actuators {OF_MODEL} needs --model, the file of the model whose friction and rotors are meant")
+        shop = "prototype" if self.bundled and self.price is None else None
+        object.__setattr__(
+            self, "catalogue", shop if self.catalogue is None else None if self.catalogue == "none" else self.catalogue
+        )
 
     @property
     def bundled(self) -> bool:
@@ -232,7 +239,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     tasks = load_tasks(request.task)
     check_folder(request.out)
     _check_combined(request, tasks)
-    drives = None if request.actuators is None else load_actuators(tasks.first.joints, request.actuators)
+    drives = _drives(request, tasks.first)
     twin = None if request.model is None else Twin.of(request.model, tasks.first, drives, listener)
     names = offered(tasks.first)
     for task in tasks.tasks:
@@ -243,6 +250,19 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     study = Study(request, own, designs, _asked(request, own), shop, twin, published, listener, tasks)
     _check(study)
     return study
+
+
+def _drives(request: Request, task: Task) -> Actuators | None:
+    """The drives of the moving joints: those that were asked for, or the task's own, or the prototype's for a bundled task."""
+    if request.actuators == OF_MODEL:
+        assert request.model is not None
+        return actuators_of({joint: one.drive for joint, one in motors_of(load_model(request.model), task).items()})
+    if request.actuators == "none":
+        return None
+    if request.actuators is None and task.actuators:
+        return actuators_of({joint: one.drive for joint, one in task.actuators.items()})
+    source = request.actuators or ("prototype" if request.bundled else None)
+    return None if source is None else load_actuators(task.joints, source)
 
 
 def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | None, twin: Twin | None) -> list[SetDesign]:
@@ -257,7 +277,7 @@ def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | No
     if unsure and request.over != "calibrated":
         raise UserError(f"--over is {request.over} and set {tasks.name!r} has 'uncertain'; only one of them is allowed")
     for springs in ways:
-        alone = [CoDesign(task, springs, request.cost, None if request.cost == "load" else drives) for task in tasks.tasks]
+        alone = [CoDesign(task, springs, request.cost, drives) for task in tasks.tasks]
         if request.price is not None and alone[0].series.rows:
             raise UserError(
                 f"--price chooses among springs that can be left out; in {name}, those between drives and links cannot"
@@ -269,8 +289,8 @@ def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | No
 
 def _asked(request: Request, tasks: TaskSet) -> dict[str, Any]:
     asked = {"tasks": tasks.contents, "cost": request.cost, "catalogue": request.catalogue}
-    read = (request.catalogue, None if request.cost == "load" else request.actuators)
-    read += (str(request.model),) if request.repaired else ()
+    read = (request.catalogue, request.actuators)
+    read += (str(request.model),) if request.repaired or request.actuators == OF_MODEL else ()
     files = [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]
     asked |= {"options": asdict(request.search), "files": files, "front": request.front, "price": request.price}
     asked |= {"over": request.over}
@@ -766,6 +786,7 @@ def _moved(
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
         "start": dict(zip(held.task.joints, motion.q[:, 0].tolist(), strict=True)),
         "release": dict(zip(held.task.joints, motion.q[:, motion.segments[0].stop - 1].tolist(), strict=True)),
+        "motors": describe_motors(held, motion),
         "lowest_tool_m": float(tool.min()),
         "lowest_link_m": min(float(heights.min()) for heights in (*links, tool)),
         "turns": turns(own, motion, solution.parameters),

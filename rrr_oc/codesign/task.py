@@ -10,12 +10,13 @@ import numpy as np
 from msgspec import Meta, field
 from scipy.optimize import least_squares, minimize
 
-from rrr_oc.codesign.clearance import FLOOR, TOOL, KeepOut, Kept, Surroundings
+from rrr_oc.codesign.clearance import FLOOR, TOOL, KeepOut, Kept, Surroundings, link_ends
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.robot.drives import MotorAndGear
 from rrr_oc.robot.goals import Goal
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot, resting_angle
@@ -141,6 +142,7 @@ class TaskFile(Schema, frozen=True):
         keep_outs: What tool and links keep out of.
         link_radius_m: Of the links about the lines from joint to joint, for floor and keep-outs; the tool's point has none.
         springs: Springs that a design may use, each with bounds of its quantities.
+        actuators: Motor and gear of each moving joint, by which costs and reports know what the motors pay; by default none is known.
         spring_limits: Limits of these springs as parts, in the design and in the parts that are worked out for it; by default those of
             the parts alone.
         locked_deg: Angles of joints that do not move; 0 for those left out, or the middle of a range that lacks 0.
@@ -165,6 +167,7 @@ class TaskFile(Schema, frozen=True):
     keep_outs: tuple[KeepOut, ...] = ()
     link_radius_m: NonNegative = 0.0
     springs: list[dict[str, Any]] = field(default_factory=list)
+    actuators: dict[str, MotorAndGear] = field(default_factory=dict)
     spring_limits: SpringLimits | None = None
     locked_deg: dict[str, float] = field(default_factory=dict)
     joints: tuple[Text, ...] | None = None
@@ -198,6 +201,7 @@ class Task:
         torque: Load-torque limits [Nm], (m,); infinite where there is none.
         around: What tool and links must not touch.
         springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
+        actuators: Motor and gear by moving joint; none where they are not known.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
         speeds: Of the arm at start and release, as in the file.
         goals: Places of the tool at start and release where the posture is free there.
@@ -222,6 +226,7 @@ class Task:
     torque: np.ndarray
     around: Surroundings
     springs: tuple[Mapping[str, Any], ...]
+    actuators: Mapping[str, MotorAndGear]
     locked: tuple[float, ...] = ()
     speeds: tuple[Speed, Speed] = ("rest", "rest")
     goals: tuple[Goal | None, Goal | None] = (None, None)
@@ -268,11 +273,11 @@ class Task:
         return self.around.kept(self.robot, self.tool, self.moving, q, self.full(self.start))
 
     def heights(self, q: np.ndarray) -> np.ndarray:
-        """Heights against gravity of the joints' origins that move and of the tool, the last row, at angles of the moving joints (m, K);
-        (·, K) [m]."""
+        """Heights against gravity of the origins of the joints after the first moving one, and of the tool, the last row, at angles of the
+        moving joints (m, K); (·, K) [m]."""
         column = ca.SX.sym("q", self.robot.n)
-        bare = Surroundings(0.0).kept(self.robot, self.tool, self.moving, column, self.full(self.start))
-        above = ca.Function("above", [column], [ca.vertcat(*[one.value for one in bare])])
+        points = link_ends(self.robot, self.tool)(column)[:, self.moving[0] + 1 :]
+        above = ca.Function("above", [column], [(ca.DM(upwards(self.robot.gravity)).T @ points).T])
         return np.array(above.map(q.shape[1])(self.full(q)))
 
     def full(self, moving: np.ndarray) -> np.ndarray:
@@ -330,6 +335,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         goals=(None, None),
         cycle=given.cycle_s,
         spring_limits=given.spring_limits or SpringLimits(),
+        actuators=_actuators(where, given),
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
@@ -432,6 +438,15 @@ def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
         rates = speed, own.acceleration_deg_per_s2 or np.inf, own.jerk_deg_per_s3 or np.inf
         rows.append([*np.radians([low, high, *rates]), _torque_limit(own, robot.effort[j])])
     return dict(zip(("lower", "upper", "speed", "acceleration", "jerk", "torque"), np.array(rows).T, strict=True))
+
+
+def _actuators(where: str, given: TaskFile) -> dict[str, MotorAndGear]:
+    """Motors and gears by moving joint; raises `UserError` where some joints have one and others have none."""
+    if given.actuators:
+        check_names(given.actuators, given.moving, f"{where}: actuators", "joint")
+        if missing := [joint for joint in given.moving if joint not in given.actuators]:
+            raise UserError(f"{where}: actuators: key {missing[0]!r} is missing; every moving joint, or none, is required")
+    return {joint: given.actuators[joint] for joint in given.moving if given.actuators}
 
 
 def _torque_limit(own: Limits, effort: float) -> float:

@@ -16,10 +16,13 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.robot.drives import Actuators
+from rrr_oc.robot.drives import Actuators, MotorAndGear
 from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.simulation.engine_model import Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
+
+# What a calibrated model says of motor and gear, by its effects
+MOTORS = {"dry_friction": "dry_Nm", "viscous_friction": "viscous_Nm_s_per_rad", "armature": "inertia_kg_m2"}
 
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
@@ -120,6 +123,25 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
         unexplained=np.nan_to_num(left),
         alternatives=tuple(replace(a, model=of_all_joints(task, a.model)) for a in calibrated.alternatives),
     )
+
+
+def motors_of(calibrated: CalibratedModel, task: Task) -> dict[str, MotorAndGear]:
+    """Motors and gears of a task's moving joints as a calibrated model has them: its dry and viscous friction and its rotors' inertia,
+    where they hold for all recordings. Other effects of the drives are left out.
+
+    Raises `UserError` where the model says nothing of a moving joint, or has none of these of any.
+    """
+    if unknown := [joint for joint in task.joints if joint not in calibrated.joints]:
+        raise UserError(f"--actuators model: the model has no joint {unknown[0]!r}; it has {', '.join(calibrated.joints)}")
+    found = {joint: dict[str, float]() for joint in task.joints}
+    for term in calibrated.terms:
+        key = MOTORS.get(term.effect.name)
+        for joint in (calibrated.joints[j] for j in term.effect.joints):
+            if key is not None and term.recordings == "all" and joint in found:
+                found[joint][key] = found[joint].get(key, 0.0) + float(term.values[0])
+    if not any(found.values()):
+        raise UserError(f"--actuators model: the model has none of {', '.join(MOTORS)} of {', '.join(task.joints)}")
+    return {joint: MotorAndGear(**known) for joint, known in found.items()}
 
 
 def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:

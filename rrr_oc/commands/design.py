@@ -26,6 +26,10 @@ from rrr_oc.report.design_report import CERTIFICATES
 from rrr_oc.report.study_files import FILES, write_study
 
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
+DRIVES = (
+    "a JSON file, 'prototype', 'model' (friction and rotors of --model) or 'none'; default: the task's own, or the prototype's for the "
+    "bundled tasks"
+)
 Front = Annotated[
     int, typer.Option(min=0, max=MOST, help="of a set of tasks: optima between that of the set and that of its first task")
 ]
@@ -49,13 +53,23 @@ def design(
         str | None,
         typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
     ] = None,
-    starts: Annotated[int, typer.Option(min=1, max=MOST, help="a configuration, half from CMA-ES, half Sobol points")] = 20,
+    starts: Annotated[
+        int, typer.Option(min=1, max=MOST, help="a configuration, half from CMA-ES, half Sobol points")
+    ] = SearchOptions.starts,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    motions: Annotated[int, typer.Option(min=0, max=MOST, help="proposed for each phase, for springs that starts led to")] = 48,
+    motions: Annotated[
+        int, typer.Option(min=0, max=MOST, help="proposed for each phase, for springs that starts led to")
+    ] = SearchOptions.motions,
+    springs: Annotated[
+        int, typer.Option(min=1, max=MOST, help="different ones for which some of these motions are tried on the coarse mesh")
+    ] = SearchOptions.springs,
+    rounds: Annotated[
+        int, typer.Option(min=1, max=MOST, help="times that motions are searched for the springs found last, at most")
+    ] = SearchOptions.rounds,
     cost: Annotated[
         str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
     ] = "load",
-    actuators: Annotated[str | None, typer.Option(help=f"drives, for costs motor, energy and --model: {PROTOTYPES}")] = None,
+    actuators: Annotated[str | None, typer.Option(help=f"what drives the joints: {DRIVES}")] = None,
     catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
     model: Annotated[Path | None, typer.Option(help="model.json of calibrate or diagnose: optima are tracked in it")] = None,
@@ -89,7 +103,9 @@ def design(
     Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV and DXF.
     """
     output = Output(quiet, as_json)
-    search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
+    search = SearchOptions(
+        starts=starts, seed=seed, motions=motions, springs=springs, rounds=rounds, refinement=Refinement(tolerance)
+    )
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     request = Request(
         task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front, price, cast(Over, over),

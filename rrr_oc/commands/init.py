@@ -381,6 +381,10 @@ def _task(name: str, moved: Moved, ends: Ends, floor: str) -> str:
     springs = ",\n".join(_spring_bounds(robot, j, limit, ends.payload) for j, limit in zip(moved.joints, limits, strict=True))
     locked = f'\n  "locked_deg": {{{", ".join(still)}}}, // angles of the others' if still else ""
     longest = max(5.0, np.ceil(max((high - low) / speed for low, high, speed in limits)))
+    actuators = ", ".join(
+        f'{json.dumps(joint)}: {{"dry_Nm": 1.0, "viscous_Nm_s_per_rad": 1.0, "inertia_kg_m2": 0.1, "efficiency": 0.9}}'
+        for joint in names
+    )
     place = [0.0, 0.0, 0.0] if moved.tool is None else (moved.tool + 0.0).tolist()
     return f"""{{
   // What the arm has to do. Comments go from // to the end of the line. Bounds are [least, greatest].
@@ -399,6 +403,7 @@ def _task(name: str, moved: Moved, ends: Ends, floor: str) -> str:
   "floor_m": {floor}, // tool and links stay above; the base's plane is 0.0, and with null there is none
   // "link_radius_m": 0.03, // of the links about the lines from joint to joint, which keep it from floor and keep-outs
   // "keep_outs": [{{"name": "post", "box": {{"center_m": [9.0, 0.0, 0.0], "size_m": [0.1, 0.1, 2.0]}}}}], // also "capsule"
+  // "actuators": {{{actuators}}}, // motor and gear of each moving joint, at the joint
   // "spring_limits": {{"torque_Nm": 20, "turn_deg": 180, "outside_mm": 80}}, // of the springs as parts
   // "path_margin": 0.25, // keep the joints' ranges to the way between both ends and this share of it
   "limits": {{ // also "acceleration_deg_per_s2", "jerk_deg_per_s3", and "torque_Nm" in place of the robot file's

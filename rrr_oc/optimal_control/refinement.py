@@ -144,18 +144,15 @@ def _magnitude(solution: Solution) -> float:
 
 def _slowed(solution: Solution) -> list[np.ndarray]:
     """For each phase about how much of the cost, relative, each interval loses because a control leaves a limit there not at once, as
-    it might, but as a polynomial (N,): the square of the share of time, times the change; its cube for a control on which the cost depends
-    through states alone, as a jerk."""
+    it might, but as a polynomial (N,): the square of the share of time, times the change."""
     result = []
     for phase, block, fractions in zip(
         solution.problem.phases, solution.transcription.blocks, solution.transcription.mesh, strict=True
     ):
         u, scale = solution.values[block.controls], phase.u.scale[:, None, None]
         gap = np.minimum(u - phase.u.lower[:, None, None], phase.u.upper[:, None, None] - u) / scale
-        change = np.where(gap.min(axis=1) < NEAR, gap.max(axis=1), 0.0)
-        direct = np.array(phase.rates.jac_sparsity(1, 1).get_col()) if len(phase.u) else []
-        order = np.where(np.isin(np.arange(len(phase.u)), direct), 2, 3)[:, None]
-        result.append((change * fractions**order).max(axis=0, initial=0.0))
+        change = np.where(gap.min(axis=1) < NEAR, gap.max(axis=1), 0.0).max(axis=0)
+        result.append(change * fractions**2)
     return result
 
 

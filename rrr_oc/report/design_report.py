@@ -1,7 +1,7 @@
 """A co-design study in tables and sections, made from its summary alone, and its report in Markdown."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from rrr_oc.codesign.design_file import Choice, Compromise, Configuration, DesignFile, Moved, Quantity
 from rrr_oc.codesign.task import PHASES
@@ -26,6 +26,11 @@ AT_TIMES = (
 AT_TIMES_NOTE = (
     "In brackets the decrease against SA at the same time. The search begins at the optimum's own time and goes from time to time; what it "
     "finds are local optima."
+)
+MOTORS = "What the motors do along the same motions, with their friction, the inertia of the rotors and the losses of the gears, at the joints:"
+MOTORS_NOTE = (
+    "The work is what the motors do; what flows back to them does not count. Decreases are against stiff actuation. E1 of the load torque "
+    "leaves out all that motors pay for themselves."
 )
 LEFT_OPEN = (
     "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
@@ -73,6 +78,9 @@ def sections(study: DesignFile) -> list[Section]:
 def _optima(study: DesignFile) -> Iterator[Part]:
     notes = " ".join(f"“{name}”: {words}" for name, words in columns_in_words(study).items())
     yield Part(table=optima_table(study), note=notes)
+    motors = motors_table(study)
+    if motors is not None:
+        yield Part(said=(MOTORS,), table=motors, note=MOTORS_NOTE)
     if study.single and "SA" in study.configurations:
         beside = ", by joint: ours | paper (Table 3, simulation)" if study.paper else ", by joint"
         yield Part(said=(f"Decrease against stiff actuation in percent{beside}.",), table=decrease_table(study))
@@ -215,18 +223,68 @@ def _quality(m: Moved) -> list[str]:
 
 
 def optima_table(study: DesignFile) -> Table:
-    """A row for each configuration; of the paper's tasks with the cost with the springs that it published."""
-    header = ["", study.quantity.title, "decrease", *(["published springs"] if study.paper else [])]
+    """A row for each configuration: the cost, where the motors are known also their squared torque, and of the paper's tasks the cost with the
+    springs that it published."""
+    known = study.single and all(c.first.motors is not None for c in study.configurations.values())
+    beside, of = (f"{say.MOTOR_TORQUE} [N²m²s]", of_motors)
+    if study.quantity.name == say.MOTOR_TORQUE:
+        beside, of = "E1 [N²m²s]", of_load
+    header = ["", study.quantity.title, "decrease", *([beside, "decrease"] if known else [])]
+    header += ["published springs"] * study.paper
     header += [*(QUALITY if study.single else SHARED), "wall [s]"]
     stiff, rows = study.configurations.get("SA"), []
     for name, c in study.configurations.items():
         fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c.cost, stiff.cost):.1f} %"
         cells = [name, small_too(c.cost), "springs do nothing" if c.does_nothing else fall]
+        cells += _with_decrease(study, name, of) if known else []
         if study.paper:
             cells.append("" if c.published_springs is None else f"{c.published_springs:.2f}")
         cells += _quality(c.first) if study.single else _compared(c)
         rows.append([*cells, f"{c.wall_s:.0f}"])
     return header, rows
+
+
+def of_load(m: Moved) -> float | None:
+    """E1 of a motion's load torque."""
+    return m.E1
+
+
+def of_motors(m: Moved) -> float | None:
+    """The squared torque of a motion's motors; None where these are not known."""
+    return None if m.motors is None else m.motors.E1
+
+
+def of_work(m: Moved) -> float | None:
+    """The work of a motion's motors [J]; None where these are not known."""
+    return None if m.motors is None else m.motors.work_J
+
+
+def of_electricity(m: Moved) -> float | None:
+    """The electrical energy of a motion [J]; None where motors or windings are not known."""
+    return None if m.motors is None else m.motors.electrical_J
+
+
+def _with_decrease(study: DesignFile, name: str, of: Callable[[Moved], float | None]) -> list[str]:
+    """A number of a motion, and its decrease against stiff actuation."""
+    own, stiff = of(study.configurations[name].first), study.configurations.get("SA")
+    other = None if stiff is None or name == "SA" else of(stiff.first)
+    return [NONE if own is None else small_too(own), "" if own is None or not other else f"{100 * decrease(own, other):.1f} %"]
+
+
+def motors_table(study: DesignFile) -> Table | None:
+    """Squared torque, RMS, peak, work and energy of the motors of one task; None where they are not known, and for several tasks."""
+    moved = {name: c.first.motors for name, c in study.configurations.items()}
+    known = {name: m for name, m in moved.items() if m is not None}
+    if not study.single or not known:
+        return None
+    columns = [(f"{say.MOTOR_TORQUE} [N²m²s]", of_motors), ("work [J]", of_work)]
+    columns += [("electrical energy [J]", of_electricity)] * all(m.electrical_J is not None for m in known.values())
+    header = ["", *(cell for title, _ in columns for cell in (title, "decrease"))]
+    rows = []
+    for name, m in known.items():
+        cells = [cell for _, of in columns for cell in _with_decrease(study, name, of)]
+        rows.append([name, *cells, *(", ".join(f"{x:.3g}" for x in by.values()) for by in (m.rms, m.peak))])
+    return [*header, f"RMS of {', '.join(study.moving)} [Nm]", "peak [Nm]"], rows
 
 
 def _compared(c: Configuration | Moved) -> list[str]:

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, Priced, Quantity
+from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, OfMotors, Priced, Quantity
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -15,6 +15,7 @@ from rrr_oc.model.metrics import decrease
 from rrr_oc.report.tables import NONE, spring_unit
 
 MANY = 3.0  # times the planned E1 from which it is told as that
+MOTOR_TORQUE = "motor torque²"  # in tables, and the name of the cost
 AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
 OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
 UNDER = 0.005  # [m] below the base's plane from which a reader is warned; doubled, motions a little deeper are not told
@@ -22,7 +23,12 @@ FAR = 0.1  # [1] of E1 by which the calibrated twin may differ from the plan bef
 FOLLOWED = 0.05  # [rad] of tracking error in the twin above which a reader is warned
 UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
 # of a search by default, and what it is; where there are fewer, a reader is warned
-USUAL = {"starts": (SearchOptions.starts, "starts"), "motions": (SearchOptions.motions, "proposed motions")}
+USUAL = {
+    "starts": (SearchOptions.starts, "starts"),
+    "motions": (SearchOptions.motions, "proposed motions"),
+    "springs": (SearchOptions.springs, "springs tried with other motions"),
+    "rounds": (SearchOptions.rounds, "rounds of motions"),
+}
 SECOND_ORDER = {
     "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
     "weak": "The second-order condition is weak: some bound is touched with next to no multiplier, and a local optimum is not proved.",
@@ -119,6 +125,7 @@ def verdict(study: DesignFile) -> str:
             some = f"no springs help {'this task' if study.single else 'these tasks'}"
         return f"{name} costs {quantity.name} = {_cost(c, quantity)}; {some}."
     parts = [f"{best} is best: {_gain(study, best)}."]
+    parts += _of_motors(study, best)
     if not study.single:
         parts.append(_shared(study, found[best]))
     if bought is not None:
@@ -129,6 +136,28 @@ def verdict(study: DesignFile) -> str:
         why = "no choice of the catalogue could be solved" if tried else "no catalogue of springs to buy was searched"
         parts.append(f"To be made: {hardware(found[best], study.joints)}; {why}.")
     return " ".join(parts)
+
+
+def _of_motors(study: DesignFile, name: str) -> list[str]:
+    """What a design saves of what the motors do, a sentence; none where these, or stiff actuation, are not among what is known."""
+    stiff, own = study.configurations.get("SA"), study.configurations[name].first.motors
+    other = None if stiff is None else stiff.first.motors
+    if not study.single or own is None or other is None:
+        return []
+    pairs = [(MOTOR_TORQUE, own.E1, other.E1), ("work", own.work_J, other.work_J), ("peak torque", *_peaks(own, other))]
+    pairs = [pair for pair in pairs if pair[0] != study.quantity.name]
+    said = [f"{abs(share):.1f} % {'less' if share >= 0 else 'more'} {what}" for what, share in _shares(pairs)]
+    return [f"Of the motors themselves, with their friction, rotors and gears, that is {listed(said)}."]
+
+
+def _peaks(own: OfMotors, other: OfMotors) -> tuple[float, float]:
+    """Peak torques of the joint at which the stiff arm's is the greatest."""
+    joint = max(other.peak, key=lambda j: other.peak[j])
+    return own.peak[joint], other.peak[joint]
+
+
+def _shares(pairs: Iterable[tuple[str, float, float]]) -> list[tuple[str, float]]:
+    return [(what, 100 * float(decrease(own, other))) for what, own, other in pairs if other]
 
 
 def _cost(c: Configuration, quantity: Quantity) -> str:
@@ -504,9 +533,7 @@ def cautions(study: DesignFile) -> list[str]:
         f"{study.options[key]} {what} in the place of {n}" for key, (n, what) in USUAL.items() if study.options.get(key, n) < n
     ]
     if fewer:
-        said.append(
-            f"The search was small, with {' and '.join(fewer)}; a longer one may find designs that need some per cent less."
-        )
+        said.append(f"The search was small, with {listed(fewer)}; a longer one may find designs that need some per cent less.")
     said += _below(study)
     best = best_of(found)
     if best is None or found[best].catalogue is not None or found[best].choice is not None or not study.single:

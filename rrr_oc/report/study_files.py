@@ -20,11 +20,12 @@ from rrr_oc.codesign.task import Task
 from rrr_oc.kept import kept_motion
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
+from rrr_oc.report.design_words import MOTOR_TORQUE
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
 COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
-QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
+QUANTITIES = {"load": "E1", "motor": MOTOR_TORQUE, "energy": "energy"}  # names of the costs in tables and figures
 FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice", "cycle_times")
 FILES = ("summary.json", "report.md", "report.html", *(f"{name}.png" for name in FIGURES))
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on

@@ -1,13 +1,15 @@
 """Electrical servo drives: current, load torque and energy (Eq. 7–11)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import casadi as ca
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp
@@ -45,6 +47,52 @@ class Drive(Schema, frozen=True):
     def __post_init__(self) -> None:
         if abs(self.c_12_A_per_Nm) >= self.c_1_A_per_Nm:  # Eq. 10 divides by c_1 ± c_12
             raise ValueError(f"c_12_A_per_Nm: found {self.c_12_A_per_Nm:g}; a magnitude below c_1_A_per_Nm is required")
+
+
+class MotorAndGear(Schema, frozen=True):
+    """A joint's motor and gear, all at the joint's output.
+
+    Attributes:
+        dry_Nm: Dry friction.
+        viscous_Nm_s_per_rad: Viscous friction.
+        inertia_kg_m2: Inertia of rotor and gear.
+        efficiency: Share of the motor's power that the gear passes on to the load, or of the load's to the motor [1].
+        torque_constant_Nm_per_A: Motor torque by current; electrical energy needs it.
+        resistance_Ohm: Of the windings; electrical energy needs it.
+    """
+
+    dry_Nm: NonNegative = 0.0
+    viscous_Nm_s_per_rad: NonNegative = 0.0
+    inertia_kg_m2: NonNegative = 0.0
+    efficiency: Annotated[float, Meta(gt=0, le=1, description="a number above 0, and up to 1, is required")] = 1.0
+    torque_constant_Nm_per_A: Positive | None = None
+    resistance_Ohm: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if self.resistance_Ohm is not None and self.torque_constant_Nm_per_A is None:
+            raise ValueError(
+                "resistance_Ohm: a resistance needs torque_constant_Nm_per_A, by which currents follow from torques"
+            )
+
+    @property
+    def drive(self) -> Drive:
+        """The same in currents; where no torque constant is known, one of 1 Nm/A stands for it, and currents are torques.
+
+        A load torque τ takes τ/η of the motor while it is driven and leaves η τ while it drives, with the efficiency η. That is
+        c_1 τ + c_12 sgn(dq) |τ| with c_1 = (1/η + η)/2 and c_12 = (1/η − η)/2.
+        """
+        k, eta = self.torque_constant_Nm_per_A or 1.0, self.efficiency
+        resistance = math.nan if self.resistance_Ohm is None else self.resistance_Ohm
+        return Drive(
+            torque_constant_Nm_per_A=k,
+            c_0_A=self.dry_Nm / k,
+            viscous_A_s_per_rad=self.viscous_Nm_s_per_rad / k,
+            c_v2_A_s2_per_rad2=0.0,
+            c_1_A_per_Nm=(1 / eta + eta) / 2 / k,
+            c_12_A_per_Nm=(1 / eta - eta) / 2 / k,
+            inertia_A_s2_per_rad=self.inertia_kg_m2 / k,
+            resistance_Ohm=resistance,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +160,12 @@ class Actuators:
         load = self.load_torque(dq, ddq, motor / self.torque_constant)
         return ca.Function("load_from_motor", [dq, ddq, motor], [load, ca.diag(ca.jacobian(load, motor))])
 
+    @cached_property
+    def motor_from_load(self) -> ca.Function:
+        """(dq, ddq, tau_load) -> `motor_torque` (m,); on numbers also (m, K)."""
+        dq, ddq, load = (ca.SX.sym(name, len(self.joints)) for name in ("dq", "ddq", "tau_load"))
+        return ca.Function("motor_from_load", [dq, ddq, load], [self.motor_torque(dq, ddq, load)])
+
     def motor_torque(self, dq, ddq, tau_load) -> ca.SX:
         """tau_a = k_t I (m,) [Nm]."""
         return ca.SX(self.torque_constant) * self.current(dq, ddq, tau_load)
@@ -161,5 +215,10 @@ def load_actuators(joints: Sequence[str], source: str = "prototype", form: str =
     for joint in joints:
         if joint not in drives:
             raise UserError(f"{where}: no joint {joint!r}; there are {', '.join(drives)}")
-    rows = [msgspec.structs.astuple(drives[joint]) for joint in joints]
-    return Actuators(tuple(joints), *np.array(rows).T, form=form)
+    return actuators_of({joint: drives[joint] for joint in joints}, form)
+
+
+def actuators_of(drives: Mapping[str, Drive], form: str = "dissipative") -> Actuators:
+    """Drives by joint as the actuators of these joints."""
+    rows = [msgspec.structs.astuple(drive) for drive in drives.values()]
+    return Actuators(tuple(drives), *np.array(rows).T, form=form)

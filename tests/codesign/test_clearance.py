@@ -106,6 +106,7 @@ def test_only_what_moves_is_kept_above_a_floor():
         (FLOOR, TOOL, pytest.approx(elbow + 0.3 * np.sin(0.4 - 0.9)), -0.1),
     ]
     assert TASK.kept(TASK.full(q)) == []
+    np.testing.assert_allclose(TASK.heights(q[:, None]).ravel(), [elbow, elbow + 0.3 * np.sin(0.4 - 0.9)])
 
 
 def optimum(task: Task, tolerance: float = 1e-2) -> tuple[CoDesign, Solution, list[dict]]:

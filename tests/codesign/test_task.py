@@ -228,6 +228,14 @@ WRONG = {
     ),
     "a moving joint locked": ({"locked_deg": {"joint2": 10}}, "locked_deg: unknown locked joint 'joint2'; allowed are joint1"),
     "locked outside the range": ({"locked_deg": {"joint1": 1e4}}, r"locked_deg\.joint1: found 10000; its range is"),
+    "a motor for one joint of two": (
+        {"actuators": {"joint2": {"dry_Nm": 1.0}}},
+        "actuators: key 'joint3' is missing; every moving joint, or none",
+    ),
+    "a gear that gains": (
+        {"actuators": {"joint2": {"efficiency": 1.2}, "joint3": {}}},
+        "efficiency: found 1.2; a number above 0, and up to 1",
+    ),
     "missing robot": ({"robot": "nowhere.urdf"}, "no robot at 'nowhere.urdf'"),
 }
 

@@ -12,15 +12,15 @@ from small_searches import smooth_motion
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.optimum import SampledMotion, known_parameters
+from rrr_oc.codesign.optimum import SampledMotion, describe_motors, known_parameters
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, reference_phases, repaired
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, motors_of, of_all_joints, reference_phases, repaired
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.errors import UserError
 from rrr_oc.report.design_report import transfer_table
-from rrr_oc.robot.drives import load_actuators
+from rrr_oc.robot.drives import MotorAndGear, actuators_of, load_actuators
 from rrr_oc.robot.robot import load_robot, urdf_text
 
 
@@ -50,6 +50,33 @@ def test_without_friction_the_engine_gives_the_motions_own_cost(moved):
     assert found["motor"]["E1"] == pytest.approx(expected.E1_total, rel=3e-3)
     assert found["tracking_error_rad"] < 1e-3
     assert not found["saturated"]
+
+
+def test_what_the_motors_do_is_the_friction_rotors_and_gears_of_task_or_model(moved):
+    """Squared torque and work of the motors, written out; from the motors of a task and from those of a calibrated model."""
+    design, motion, _ = moved
+    own = {"dry_Nm": 5.0, "viscous_Nm_s_per_rad": 10.0, "inertia_kg_m2": 0.2}
+    task = dict.fromkeys(design.task.joints, MotorAndGear(**own))
+    assert motors_of(calibrated(5.0, 10.0, 0.2), design.task) == task
+    found = describe_motors(replace(design, actuators=actuators_of({j: one.drive for j, one in task.items()})), motion)
+    assert found is not None
+    sign = np.tanh(20 * motion.dq)
+    torque = motion.tau_load + 5.0 * sign + 10.0 * motion.dq * sign**2
+    torque += 0.2 * motion.ddq
+    spans = [(motion.t[k], torque[:, k], motion.dq[:, k]) for k in motion.segments]
+    assert found["E1"] == pytest.approx(sum(np.trapezoid((tau**2).sum(axis=0), t) for t, tau, _ in spans), rel=1e-6)
+    assert found["work_J"] == pytest.approx(
+        sum(np.trapezoid(np.maximum(tau * dq, 0).sum(axis=0), t) for t, tau, dq in spans), rel=1e-6
+    )
+    assert found["peak"] == pytest.approx(dict(zip(design.task.joints, np.abs(torque).max(axis=1), strict=True)))
+    assert found["electrical_J"] is None
+    assert describe_motors(design, motion) is None
+
+
+def test_a_model_without_friction_and_rotors_has_no_motors(moved):
+    bare = replace(calibrated(), terms=())
+    with pytest.raises(UserError, match="the model has none of dry_friction, viscous_friction, armature of joint2, joint3"):
+        motors_of(bare, moved[0].task)
 
 
 def test_friction_stands_in_the_motors_and_not_in_the_engines_load(moved):

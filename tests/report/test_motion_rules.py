@@ -6,6 +6,7 @@ from msgspec.structs import replace
 from rrr_oc.codesign.clearance import Capsule, KeepOut
 from rrr_oc.codesign.design_file import DesignFile, Limits
 from rrr_oc.report import design_words as say
+from rrr_oc.report.design_report import motors_table, optima_table
 
 POST = KeepOut("post", capsule=Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.1))
 JUMPING = Limits((0.0, 1.0), 1.0, 2.0, None)
@@ -42,3 +43,28 @@ def test_a_motion_below_the_base_is_told_where_no_floor_was_given():
     )
     for other in (study(-0.284, floor_m=-0.3), study(0.01)):
         assert not [sentence for sentence in say.cautions(other) if "below" in sentence]
+
+
+def test_what_the_motors_do_stands_beside_what_the_load_needs():
+    """E1 falls by 90 %, the motors' squared torque by 20 % and their work by 10 %."""
+
+    def moved(E1: float, squared: float, work: float) -> designs.Moved:
+        return designs.moved(E1, motors=designs.metrics(squared) | {"work_J": work})
+
+    stiff, best = designs.design(100.0, {"t": moved(100.0, 200.0, 50.0)}), designs.design(10.0, {"t": moved(10.0, 160.0, 45.0)})
+    made = designs.summary(SA=replace(stiff, mounted={}), PEA=best)
+    header, rows = optima_table(made)
+    assert header[:5] == ["", "E1 [N²m²s]", "decrease", "motor torque² [N²m²s]", "decrease"]
+    assert [row[:5] for row in rows] == [
+        ["SA", "100.000", "", "200.000", ""],
+        ["PEA", "10.000", "90.0 %", "160.000", "20.0 %"],
+    ]
+    table = motors_table(made)
+    assert table is not None
+    assert table[1][1] == ["PEA", "160.000", "20.0 %", "45.000", "10.0 %", "1", "2"]
+    assert "Of the motors themselves, with their friction, rotors and gears, that is 20.0 % less motor torque²" in say.verdict(
+        made
+    )
+    unknown = designs.summary(SA=designs.design(100.0), PEA=designs.design(10.0))
+    assert motors_table(unknown) is None
+    assert "motor torque²" not in " ".join(optima_table(unknown)[0])

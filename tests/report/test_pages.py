@@ -353,15 +353,20 @@ def test_costs_of_light_arms_keep_their_digits():
     assert rows[1][1] == "0.000124"
 
 
-@pytest.mark.parametrize("few", [{"starts": 4}, {"motions": 0}, {"starts": 4, "motions": 12}])
+@pytest.mark.parametrize("few", [{"starts": 4}, {"motions": 0}, {"starts": 4, "motions": 12}, {"springs": 4, "rounds": 2}])
 def test_a_small_search_is_warned_of(few):
     """However often its starts led to the optimum: they may all have missed the motions of a better one."""
-    study = structs.replace(designs.summary(SA=STIFF, PEA=designs.design(100.0)), options={"starts": 20, "motions": 48} | few)
+    usual = {"starts": 20, "motions": 48, "springs": 24, "rounds": 4}
+    study = structs.replace(designs.summary(SA=STIFF, PEA=designs.design(100.0)), options=usual | few)
     (said,) = cautions(study)
     assert said.startswith("The search was small, with ")
-    assert [f"{n} {what} in the place of" in said for n, what in ((4, "starts"), (few.get("motions"), "proposed motions"))] == [
-        key in few for key in ("starts", "motions")
-    ]
+    what = {
+        "starts": "starts",
+        "motions": "proposed motions",
+        "springs": "springs tried with other motions",
+        "rounds": "rounds of motions",
+    }
+    assert {key for key in usual if f"{few.get(key)} {what[key]} in the place of {usual[key]}" in said} == set(few)
 
 
 @pytest.mark.parametrize(("changes", "said"), CAUTIONS.values(), ids=CAUTIONS.keys())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rrr_oc.errors import UserError
-from rrr_oc.robot.drives import Actuators, Drive, load_actuators
+from rrr_oc.robot.drives import Actuators, Drive, MotorAndGear, actuators_of, load_actuators
 
 JOINTS = ("joint1", "joint2", "joint3")
 # facts.md: k_t, c_0, nu, c_v2, c_1, c_12, J_m of the prototype's joints 1, 2, 3
@@ -165,3 +165,25 @@ def test_malformed_actuators_are_the_users_to_mend(tmp_path, content):
     path.write_text(json.dumps(content))
     with pytest.raises(UserError):
         load_actuators(("joint1",), str(path))
+
+
+def test_a_motor_and_gear_in_torques_is_a_drive_in_currents():
+    """A gear of 80 % takes 5/4 of the load's torque where it drives the load and passes on 4/5 where the load drives it."""
+    given = {"dry_Nm": 2.0, "viscous_Nm_s_per_rad": 3.0, "inertia_kg_m2": 0.5, "efficiency": 0.8}
+    dq, ddq, tau = np.array([1.5, 1.5, -1.5, -1.5]), np.array([2.0, -1.0, 2.0, -1.0]), np.array([10.0, -10.0, 10.0, -10.0])
+    expected = 2.0 * np.sign(dq) + 3.0 * dq + 0.5 * ddq + np.where(tau * dq > 0, tau / 0.8, tau * 0.8)
+    for more in ({}, {"torque_constant_Nm_per_A": 7.0, "resistance_Ohm": 0.9}):
+        drive = MotorAndGear(**given, **more).drive
+        motors = actuators_of({"a": drive})
+        np.testing.assert_allclose(
+            np.array(motors.motor_from_load(dq[None], ddq[None], tau[None])).ravel(), expected, rtol=1e-9
+        )
+        current = np.array([numbers(motors.current(dq[i : i + 1], ddq[i : i + 1], tau[i : i + 1]))[0] for i in range(4)])
+        np.testing.assert_allclose(current * more.get("torque_constant_Nm_per_A", 1.0), expected, rtol=1e-9)
+    power = float(np.array(motors.exact_power(dq[:1], expected[:1] / 7.0)).item())
+    assert power == pytest.approx(0.9 * (expected[0] / 7) ** 2 + dq[0] * expected[0])
+
+
+def test_a_resistance_needs_a_torque_constant():
+    with pytest.raises(ValueError, match="a resistance needs torque_constant_Nm_per_A"):
+        MotorAndGear(resistance_Ohm=1.0)
