@@ -29,6 +29,12 @@ NOISE = 1.0  # [Nm] of every joint's torque, for which standard errors are told;
 app = typer.Typer(add_completion=False)
 
 
+Floor = Annotated[
+    float | None,
+    typer.Option(help="height that the tool stays above \\[m]; default: 0, the base's plane, unless the arm hangs from it"),
+]
+
+
 @app.command()
 def excite(
     urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF or MJCF, or a bundled model: {', '.join(BUNDLED)}")],
@@ -41,10 +47,7 @@ def excite(
     torque: Annotated[
         float | None, typer.Option(help="limit of every joint's motor torque \\[Nm], if below the URDF's")
     ] = None,
-    floor: Annotated[
-        float | None,
-        typer.Option(help="height that the tool stays above \\[m]; default: 0, the base's plane, unless the arm hangs from it"),
-    ] = None,
+    floor: Floor = None,
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
     starts: Annotated[int, typer.Option(min=1, max=MOST, help="random starts of the search")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,

@@ -80,11 +80,7 @@ def export(
         files["urdf"], in_urdf = str(out / "arm.urdf"), [*as_urdf.left_out]
         apart |= _read_again({"urdf": out / "arm.urdf"}, own, values, 0.0, chosen)
         output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
-    largest = largest_of(apart)
-    if largest is not None:
-        file, quantity, size = largest
-        said = "of what they have, mass matrix, gravity and torques differ from the model's"
-        output.show(f"Read again, {said} by {size:.1g} of the largest at most ({quantity} in the {file.upper()}).")
+    _show_differences(output, apart)
     if into is not None:
         files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
     for place, text in texts.items():
@@ -96,6 +92,15 @@ def export(
         output.note(f"Not in arm.xml: {one}.")
     told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
     output.result(files | told)
+
+
+def _show_differences(output: Output, apart: Differences) -> None:
+    """The largest difference of files from the model, if there is any."""
+    largest = largest_of(apart)
+    if largest is not None:
+        file, quantity, size = largest
+        said = "of what they have, mass matrix, gravity and torques differ from the model's"
+        output.show(f"Read again, {said} by {size:.1g} of the largest at most ({quantity} in the {file.upper()}).")
 
 
 def _read_again(files: dict[str, Path], arm: Model, theta: np.ndarray, payload: float, chosen: Recording | None) -> Differences:
