@@ -23,7 +23,7 @@ from rrr_oc.codesign.design_file import COMPARISON
 from rrr_oc.codesign.springs import arrangements, saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import design as design_command
-from rrr_oc.effects.words import listed
+from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.report import study_files
@@ -407,21 +407,16 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)
 
 
-def test_a_study_that_is_interrupted_says_what_is_unfinished(monkeypatch, tmp_path):
-    command = [*OWN, "--configurations", "SA,PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
-    command += ["--out", str(tmp_path / "results")]
-    unfinished = {"_buy": ["PEA*", COMPARISON], "_compared_at_times": [COMPARISON]}
-    for step, left in unfinished.items():
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(steps, step, failing(KeyboardInterrupt()))
-            assert run(study, patch, *command) == 130
-        assert json.loads((tmp_path / "results" / "summary.json").read_text())["unfinished"] == left
-        assert (
-            f"**Unfinished: {listed(left)}. The same command goes on with it.**"
-            in (tmp_path / "results" / "report.md").read_text()
-        )
-    assert run(study, monkeypatch, *command) == 0
-    assert json.loads((tmp_path / "results" / "summary.json").read_text())["unfinished"] == []
+def test_what_is_unfinished_is_what_was_asked_and_is_not_found(tmp_path):
+    """Nothing is solved here: entries are made up."""
+    request = steps.Request(own_task(tmp_path), tmp_path / "results", ("SA", "PEA"), catalogue=shop(tmp_path, j2=[5.0, 8.0]))
+    asked, done = steps.prepared(request, None, Output(quiet=True)), designs.design(1.0)
+    assert asked.unfinished({}) == ("SA", "PEA", "PEA*", COMPARISON)
+    assert asked.unfinished({"SA": done, "PEA": designs.design(1.0, interrupted=True)}) == ("PEA", "PEA*", COMPARISON)
+    assert asked.unfinished({"SA": done, "PEA": done, "PEA*": done}) == (COMPARISON,)
+    assert asked.unfinished({"SA": done, "PEA": designs.design(1.0, not_bought="lost")}) == (COMPARISON,)
+    alone = replace(asked, request=replace(request, cycle_times=()))
+    assert alone.unfinished({"SA": done, "PEA": done, "PEA*": done}) == ()
 
 
 WRONG_SIDE = {"effect": "parallel_spring", "joint": "j2", "stiffness_Nm_per_rad": [1, 20], "equilibrium_deg": [-180, -100]}
