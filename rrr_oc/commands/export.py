@@ -28,6 +28,12 @@ from rrr_oc.storage import check_folder, write_text
 app = typer.Typer(add_completion=False)
 
 
+Recordings = Annotated[
+    Path | None,
+    typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
+]
+
+
 @app.command()
 def export(
     out: Annotated[Path, typer.Option(help="folder for arm.xml and arm.urdf")],
@@ -38,10 +44,7 @@ def export(
     design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
     configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,
     task: Annotated[str | None, typer.Option(help="of --design: its task file, or a bundled task")] = None,
-    recordings: Annotated[
-        Path | None,
-        typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
-    ] = None,
+    recordings: Recordings = None,
     recording: Annotated[str | None, typer.Option(help="of --recordings: which one, such as sweep2.csv")] = None,
     into: Annotated[
         Path | None, typer.Option(help="MJCF of the same arm, into a copy of which the numbers and springs are written")
@@ -90,8 +93,7 @@ def export(
         files["trajectory"] = list(map(str, texts))
     for one in made.left_out:
         output.note(f"Not in arm.xml: {one}.")
-    told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
-    output.result(files | told)
+    output.result(files | {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart})
 
 
 def _show_differences(output: Output, apart: Differences) -> None:
