@@ -74,17 +74,10 @@ def export(
     output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
     apart, in_urdf = _read_again({"mjcf": out / "arm.xml"}, arm, theta, payload, chosen), list[str]()
     if found is not None:
-        own, values, more = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
-        as_urdf = urdf_of(found.urdf, own, values, more)
-        write_text(out / "arm.urdf", as_urdf.text)
-        files["urdf"], in_urdf = str(out / "arm.urdf"), [*as_urdf.left_out]
-        apart |= _read_again({"urdf": out / "arm.urdf"}, own, values, 0.0, chosen)
-        output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
-    largest = largest_of(apart)
-    if largest is not None:
-        file, quantity, size = largest
-        said = "of what they have, mass matrix, gravity and torques differ from the model's"
-        output.show(f"Read again, {said} by {size:.1g} of the largest at most ({quantity} in the {file.upper()}).")
+        own = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
+        files["urdf"], in_urdf, more = _write_urdf(output, out / "arm.urdf", found, own, chosen)
+        apart |= more
+    _tell(output, apart)
     if into is not None:
         files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
     for place, text in texts.items():
@@ -96,6 +89,26 @@ def export(
         output.note(f"Not in arm.xml: {one}.")
     told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
     output.result(files | told)
+
+
+def _write_urdf(
+    output: Output, place: Path, found: CalibratedModel, own: tuple[Model, np.ndarray, list[str]], chosen: Recording | None
+) -> tuple[str, list[str], Differences]:
+    """The URDF of a model, `own` as `_arm` gives it: its place, what is not in it, and how far it is from the model."""
+    arm, theta, left_out = own
+    made = urdf_of(found.urdf, arm, theta, left_out)
+    write_text(place, made.text)
+    output.show(f"{place} has the inertial parameters of the model.")
+    return str(place), list(made.left_out), _read_again({"urdf": place}, arm, theta, 0.0, chosen)
+
+
+def _tell(output: Output, apart: Differences) -> None:
+    """Show the largest difference of all files."""
+    largest = largest_of(apart)
+    if largest is not None:
+        file, quantity, size = largest
+        said = "of what they have, mass matrix, gravity and torques differ from the model's"
+        output.show(f"Read again, {said} by {size:.1g} of the largest at most ({quantity} in the {file.upper()}).")
 
 
 def _read_again(files: dict[str, Path], arm: Model, theta: np.ndarray, payload: float, chosen: Recording | None) -> Differences:
