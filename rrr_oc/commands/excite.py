@@ -29,12 +29,6 @@ NOISE = 1.0  # [Nm] of every joint's torque, for which standard errors are told;
 app = typer.Typer(add_completion=False)
 
 
-Floor = Annotated[
-    float | None,
-    typer.Option(help="height that the tool stays above \\[m]; default: 0, the base's plane, unless the arm hangs from it"),
-]
-
-
 @app.command()
 def excite(
     urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF or MJCF, or a bundled model: {', '.join(BUNDLED)}")],
@@ -47,7 +41,10 @@ def excite(
     torque: Annotated[
         float | None, typer.Option(help="limit of every joint's motor torque \\[Nm], if below the URDF's")
     ] = None,
-    floor: Floor = None,
+    floor: Annotated[
+        float | None,
+        typer.Option(help="height that the tool stays above \\[m]; default: 0, the base's plane, unless the arm hangs from it"),
+    ] = None,
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
     starts: Annotated[int, typer.Option(min=1, max=MOST, help="random starts of the search")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
@@ -70,8 +67,7 @@ def excite(
     robot = load_robot(urdf, named(joints))
     height = floor if floor is not None else 0.0 if stands(robot) else -math.inf
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, height, payload)
-    hangs = "the arm hangs from its base: nothing keeps the tool from what is below; --floor does"
-    for note in (*robot.notes, *_unlimited(robot, rig), *[hangs] * math.isinf(height)):
+    for note in (*robot.notes, *_unlimited(robot, rig)):
         output.note(f"Note: {note}.")
     with output.steps("stating the problem"):
         known = model_sensitivity(rig)
@@ -91,10 +87,14 @@ def excite(
         output.show(table)
     if asked.inseparable:
         output.show(f"No motion determines these apart from the parameters above: {', '.join(asked.inseparable)}.")
-    output.show(
-        f"{out} holds the motion of {motion.t[-1]:g} s: t [s], and q_, dq_ and ddq_ [rad, rad/s, rad/s²] of {', '.join(robot.joints)}. "
-        "Let the arm's own controller follow q, and record t, the measured q, and the torque or current of each."
-    )
+    output.show(_what_to_do(out, robot, float(motion.t[-1])))
+
+
+def _what_to_do(out: Path, robot: Robot, seconds: float) -> str:
+    """What stands in the file, and what to record."""
+    columns = f"t [s], and q_, dq_ and ddq_ [rad, rad/s, rad/s²] of {', '.join(robot.joints)}"
+    follow = "Let the arm's own controller follow q, and record t, the measured q, and the torque or current of each."
+    return f"{out} holds the motion of {seconds:g} s: {columns}. {follow}"
 
 
 def _rig(robot: Robot, less: dict[str, float | None], acceleration: float, floor: float, payload: float) -> Rig:
@@ -120,7 +120,9 @@ def _unlimited(robot: Robot, rig: Rig) -> list[str]:
     named = {
         what: [j for j, bare in zip(robot.joints, bare_joints, strict=True) if bare] for what, bare_joints in missing.items()
     }
-    return [f"{', '.join(found)}: the URDF has no limit of the {what}" for what, found in named.items() if found]
+    hangs = ["the arm hangs from its base: nothing keeps the tool from what is below; --floor does"]
+    found = [f"{', '.join(joints)}: the URDF has no limit of the {what}" for what, joints in named.items() if joints]
+    return found + hangs * math.isinf(rig.limits.floor)
 
 
 def _result(rig: Rig, asked: Information, found: Excitation) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from rrr_oc.codesign.transfer import of_all_joints, uncalibrated, unknown_joints
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
-from rrr_oc.errors import UserError, meant
+from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording
@@ -28,12 +28,6 @@ from rrr_oc.storage import check_folder, write_text
 app = typer.Typer(add_completion=False)
 
 
-Recordings = Annotated[
-    Path | None,
-    typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
-]
-
-
 @app.command()
 def export(
     out: Annotated[Path, typer.Option(help="folder for arm.xml and arm.urdf")],
@@ -44,7 +38,10 @@ def export(
     design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
     configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,
     task: Annotated[str | None, typer.Option(help="of --design: its task file, or a bundled task")] = None,
-    recordings: Recordings = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
+    ] = None,
     recording: Annotated[str | None, typer.Option(help="of --recordings: which one, such as sweep2.csv")] = None,
     into: Annotated[
         Path | None, typer.Option(help="MJCF of the same arm, into a copy of which the numbers and springs are written")
@@ -77,13 +74,10 @@ def export(
     output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
     apart, in_urdf = _read_again({"mjcf": out / "arm.xml"}, arm, theta, payload, chosen), list[str]()
     if found is not None:
-        own, values, more = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
-        as_urdf = urdf_of(found.urdf, own, values, more)
-        write_text(out / "arm.urdf", as_urdf.text)
-        files["urdf"], in_urdf = str(out / "arm.urdf"), [*as_urdf.left_out]
-        apart |= _read_again({"urdf": out / "arm.urdf"}, own, values, 0.0, chosen)
-        output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
-    _show_differences(output, apart)
+        own = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
+        files["urdf"], in_urdf, more = _write_urdf(output, out / "arm.urdf", found, own, chosen)
+        apart |= more
+    _tell(output, apart)
     if into is not None:
         files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
     for place, text in texts.items():
@@ -93,11 +87,23 @@ def export(
         files["trajectory"] = list(map(str, texts))
     for one in made.left_out:
         output.note(f"Not in arm.xml: {one}.")
-    output.result(files | {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart})
+    told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
+    output.result(files | told)
 
 
-def _show_differences(output: Output, apart: Differences) -> None:
-    """The largest difference of files from the model, if there is any."""
+def _write_urdf(
+    output: Output, place: Path, found: CalibratedModel, own: tuple[Model, np.ndarray, list[str]], chosen: Recording | None
+) -> tuple[str, list[str], Differences]:
+    """The URDF of a model, `own` as `_arm` gives it: its place, what is not in it, and how far it is from the model."""
+    arm, theta, left_out = own
+    made = urdf_of(found.urdf, arm, theta, left_out)
+    write_text(place, made.text)
+    output.show(f"{place} has the inertial parameters of the model.")
+    return str(place), list(made.left_out), _read_again({"urdf": place}, arm, theta, 0.0, chosen)
+
+
+def _tell(output: Output, apart: Differences) -> None:
+    """Show the largest difference of all files."""
     largest = largest_of(apart)
     if largest is not None:
         file, quantity, size = largest
@@ -147,7 +153,7 @@ def _trajectories(
     names = [name.strip() for name in formats.split(",")]
     for name in names:
         if name not in FORMATS:
-            raise UserError(f"--trajectory: unknown format {name!r}; allowed are {', '.join(FORMATS)}{meant(name, FORMATS)}")
+            raise UserError(f"--trajectory: unknown format {name!r}; allowed are {', '.join(FORMATS)}")
     found = sampled(saved_motion(design.parent / f"{configuration}.npz", task), task, rate)
     return {out / f"trajectory.{FORMATS[name][0]}": FORMATS[name][1](found) for name in names}
 

@@ -172,6 +172,12 @@ class RecordingSet:
         doubts = [f"{_named(still)}: no joint moves, which says nothing of friction and inertia"] if still else []
         doubts += self._of_times_and_travel()
         doubts += self._of_faults()
+        held = any(np.any(r.payload > 0) for r in self.recordings)
+        if self.torque == "command" and self.inertial == "identify" and not held:
+            doubts.append(
+                "masses are not known and no payload is listed: commands and positions tell friction, inertia and springs in proportion to kp "
+                "alone; a recording with a known payload tells kp"
+            )
         for r in self.recordings:
             for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if len(self.joints) > 1 else ():
                 columns = f"dq_{self.joints[i]} is the derivative of q_{self.joints[j]}, not of q_{self.joints[i]}"

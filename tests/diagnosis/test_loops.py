@@ -33,16 +33,24 @@ def plant(tmp_path) -> Plant:
 
 
 def test_friction_and_armature_are_those_of_the_engine(plant, tmp_path):
-    """Friction within 1 %; armature within 10 %: a joint that reverses against dry friction accelerates within the window."""
+    """Dry friction within 1 %; armature within 10 %: a joint that reverses against dry friction accelerates within the window.
+
+    Commands that act a quarter of a millisecond late ask for 8 % more viscous friction: it is known so far, as its interval says.
+    """
     rng = np.random.default_rng(1)
     model = calibrate(driven_set(plant, TRUE, TRUE, rng, 3))
     for name, expected, tolerance in (
         ("dry_friction", plant.dry, 0.01),
-        ("viscous_friction", plant.viscous, 0.01),
+        ("viscous_friction", plant.viscous, 0.08),
+        ("command_delay", np.zeros(2), 2.5e-4),
         ("armature", plant.armature, 0.1),
     ):
         found = [t.values[0] for t in model.terms if t.effect.name == name]
-        np.testing.assert_allclose(found, expected, rtol=tolerance)
+        np.testing.assert_allclose(found, expected, rtol=tolerance, atol=0 if expected.any() else tolerance)
+    intervals = [t.estimates[0].interval for t in model.terms if t.effect.name == "viscous_friction"]
+    for interval, true in zip(intervals, plant.viscous, strict=True):
+        assert interval is not None
+        assert interval[0] < true < interval[1]
     save_model(model, tmp_path / "model.json")
     new = driven_set(plant, TRUE, TRUE, rng, 1)
     for errors in evaluate_inverse(load_model(tmp_path / "model.json"), new).values():

@@ -81,6 +81,15 @@ def test_gains_may_differ_by_recording(tmp_path):
         load_recordings(tmp_path)
 
 
+def test_what_positions_and_commands_cannot_tell_is_said(tmp_path):
+    """Only where neither masses nor a payload are known."""
+    said = "in proportion to kp alone; a recording with a known payload tells kp"
+    loaded = {"inertial": "identify", "recordings": [{"file": "a.csv", "payload": 1.0}]}
+    for k, (changes, expected) in enumerate((({}, False), ({"inertial": "identify"}, True), (loaded, False))):
+        notes = load_recordings(write(tmp_path / str(k), arm_columns()[0], **changes)).notes
+        assert any(note.endswith(said) for note in notes) == expected
+
+
 def test_a_set_that_is_written_is_the_same_again(tmp_path):
     original = load_recordings(write(tmp_path / "a", arm_columns()[0]))
     save_recordings(original, tmp_path / "b")

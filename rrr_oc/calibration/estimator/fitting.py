@@ -257,7 +257,8 @@ class PlainFitter:
         near = self._least_squares(fitted)
         cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
         found = replace(self, data=cleared, holds_delays=True)._least_squares(near, fitted)
-        of_noise = np.hstack([bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)])
+        of_noise, of_loops = bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)
+        of_noise = np.hstack([of_noise, of_loops]) if of_loops.size else of_noise
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
         whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
         std, number = std_by_blocks(found.posterior)
