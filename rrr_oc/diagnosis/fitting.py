@@ -92,13 +92,13 @@ class Fitter(PlainFitter):
         """Without what is computed again where it is needed: numbers of objects are others in another process."""
         return {**self.__dict__, "_spans": {}, "_scales": {}}
 
+    def widths_of_priors(self, terms: Sequence[Term]) -> tuple[float, ...]:
+        return tuple(self.excess(term)[0] for term in terms)
+
     def of_effects(self, terms: Sequence[Term]) -> np.ndarray:
         """Mean, precision and flat precision of changes, and bounds, of the parameters of effects, (5, m)."""
         result = []
-        for term in terms:
-            wide = self.excess(term)[0]
-            if self.looser is not None:
-                wide *= float(np.min(self.looser[list(term.effect.joints or range(self.data.n))]))
+        for term, wide in zip(terms, self.wide or self.widths_of_priors(terms), strict=True):
             for span, value in zip(self.spans(term.effect), term.values, strict=True):
                 result.append((*span.of_change(value, wide), span.low, span.high))
         return np.array(result).reshape(-1, 5).T

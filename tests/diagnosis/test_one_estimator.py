@@ -24,11 +24,13 @@ def test_a_calibration_is_the_plain_model_of_a_diagnosis(planar, inertial):
     np.testing.assert_array_equal(calibrated.noise, plain.noise)
 
 
-def test_effects_are_believed_less_where_noise_counts_as_stronger(planar):
-    """Least squares take noise for as strong as in slow motion; a fast law whose prior stayed would shrink beside it."""
+def test_the_width_of_a_prior_stays_where_least_squares_shrink_an_effect(planar):
+    """Least squares take noise for as strong as in slow motion. An effect that shrinks a little would get a narrower prior and shrink more."""
     plant, rng = planar(1), np.random.default_rng(8)
     _, fitter, _, _ = ready(as_set(plant, [record(plant, "0.csv", rng, 8.0, 0.01)]), Priors())
-    ripple = Term(TorqueRipple((0,)), tuple(map(Estimate, (0.04, 20.0, 0.3))))
-    names = [p.name for p in ripple.effect.parameters]
-    declared, looser = fitter.of_effects([ripple])[1], replace(fitter, looser=np.array([3.0])).of_effects([ripple])[1]
-    assert looser[names.index("amplitude")] == pytest.approx(declared[names.index("amplitude")] / 9)
+    small, large = (Term(TorqueRipple((0,)), tuple(map(Estimate, (size, 20.0, 0.3)))) for size in (0.001, 0.5))
+    number = [p.name for p in small.effect.parameters].index("amplitude")
+    (one,), (wide,) = fitter.widths_of_priors([small]), fitter.widths_of_priors([large])
+    assert wide > one
+    declared, kept = (f.of_effects([small])[1][number] for f in (fitter, replace(fitter, wide=(wide,))))
+    assert kept == pytest.approx(declared * (one / wide) ** 2)

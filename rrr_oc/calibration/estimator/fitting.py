@@ -92,14 +92,14 @@ class PlainFitter:
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
         farthest: Declared standard deviations by which a link of a URDF may be off at most.
         holds_delays: Whether delays of the torque stay as they are.
-        looser: Of each joint, how many times wider the priors of effects on it are, (n,); as declared by default.
+        wide: Of each effect beyond the plain terms, how many times wider its prior is than declared; what is likeliest by default.
     """
 
     data: Data
     plain_std: np.ndarray
     farthest: float = field(default=np.inf, kw_only=True)
     holds_delays: bool = field(default=False, kw_only=True)
-    looser: np.ndarray | None = field(default=None, kw_only=True)
+    wide: tuple[float, ...] | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -268,14 +268,12 @@ class PlainFitter:
     def _least_squares(self, fitted: Fitted, likeliest: Fitted | None = None) -> Fitted:
         """The fit whose noise is white, as strong as that of a fit in slow motion, without a discrepancy.
 
-        That noise is stronger than what decides of fast laws. Effects are believed as much beside it as in the likeliest fit, which is
-        the first one by default.
+        Effects keep the width of the prior that they have in the likeliest fit, which is the first one by default.
         """
-        last, sigma = np.inf, (likeliest or fitted).posterior.hyper.sigma
+        last, kept = np.inf, replace(self, wide=self.widths_of_priors((likeliest or fitted).extra))
         for _ in range(CLOSER):
             start = NoiseStart.of(self.data, at_low_frequency(self.data, fitted))
-            looser = np.maximum(start.hyper.sigma / sigma, 1.0)
-            fitted = replace(self, looser=looser).fit(fitted.model, fitted.links, start, fixed=True)
+            fitted = kept.fit(fitted.model, fitted.links, start, fixed=True)
             if abs(fitted.log_evidence - last) < ALIKE:
                 break
             last = fitted.log_evidence
@@ -329,6 +327,10 @@ class PlainFitter:
             upper=np.concatenate([np.maximum(high - values, 0), farthest - links, np.log(WIDTHS[-1] / widths)]),
             flat=np.concatenate([np.zeros(plain), flat, np.zeros(end - size)]),
         )
+
+    def widths_of_priors(self, terms: Sequence[Term]) -> tuple[float, ...]:
+        """Of effects beyond the plain terms, how many times wider than declared the likeliest prior is."""
+        return (1.0,) * len(terms)
 
     def of_effects(self, terms: Sequence[Term]) -> np.ndarray:
         """Mean, precision and flat precision of changes, and bounds, of the parameters of effects beyond the plain terms, (5, m)."""
