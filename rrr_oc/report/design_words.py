@@ -389,7 +389,8 @@ def of_motion(c: Configuration, m: Moved, quantity: Quantity) -> list[str]:
 
 
 def _height(metres: float) -> str:
-    return f"{abs(metres):.3f} m {'below' if metres < 0 else 'above'} the base"
+    level = f"{abs(metres):.3f}"
+    return "level with the base" if float(level) == 0 else f"{level} m {'below' if metres < 0 else 'above'} the base"
 
 
 def residual(m: Moved) -> float:
