@@ -1,8 +1,7 @@
 """The extensions of rrr_oc: Pinocchio's algorithms on casadi.SX, casadi Functions at many instants, steps along sampled signals.
 
 The first two against the headers that the wheels themselves ship. The same sources, compiler and versions make the same wheel, byte
-by byte, in whatever folder and at whatever time it is built; `.ci/wheel` checks this. They keep to CPython's stable ABI, so that one wheel
-serves Python 3.11 and all later ones.
+by byte, in whatever folder and at whatever time it is built; `.ci/wheel` checks this.
 """
 
 import os
@@ -25,17 +24,6 @@ without_folders = f"-ffile-prefix-map={site}=site-packages"
 os.environ.setdefault("SOURCE_DATE_EPOCH", "1577836800")  # of all files in the wheel: the start of 2020, as good as any time
 
 
-LOWEST = 0x030B0000  # Python 3.11, as in pyproject.toml
-
-
-class StableExtension(Extension):
-    """A module of the stable ABI of Python 3.11."""
-
-    def __init__(self, name: str, define_macros: list[tuple[str, str | None]] | None = None, **options: Any) -> None:
-        macros = [("Py_LIMITED_API", hex(LOWEST)), *(define_macros or [])]
-        super().__init__(name, define_macros=macros, py_limited_api=True, **options)
-
-
 class BdistWheel(bdist_wheel):
     """All files in the wheel have the same rights, whatever those of the builder's files are."""
 
@@ -48,9 +36,8 @@ class BdistWheel(bdist_wheel):
 
 setup(
     cmdclass={"bdist_wheel": BdistWheel},
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
     ext_modules=[
-        StableExtension(
+        Extension(
             "rrr_oc.robot._rigid_body",
             sources=["rrr_oc/robot/_rigid_body.cpp"],
             include_dirs=[str(include), str(include / "eigen3"), str(casadi_dir / "include")],
@@ -65,21 +52,21 @@ setup(
             extra_compile_args=["-std=c++17", "-O1", "-g0", "-w", "-fvisibility=hidden", without_folders],
             extra_link_args=[libcasadi],
         ),
-        StableExtension(
+        Extension(
             "rrr_oc.numerics._along",
             sources=["rrr_oc/numerics/_along.cpp"],
             include_dirs=[str(casadi_dir / "include")],
             extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden", without_folders],
             extra_link_args=[libcasadi],
         ),
-        StableExtension(
+        Extension(
             "rrr_oc.calibration.estimator._evidence",
             sources=["rrr_oc/calibration/estimator/_evidence.cpp"],
             include_dirs=[str(include / "eigen3")],
             define_macros=[("EIGEN_MPL2_ONLY", None), ("NDEBUG", None)],
             extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden", "-ffp-contract=off", without_folders],
         ),
-        StableExtension(
+        Extension(
             "rrr_oc.numerics._stepping",
             sources=["rrr_oc/numerics/_stepping.cpp"],
             # Without contraction to fused operations results are the same on all machines.

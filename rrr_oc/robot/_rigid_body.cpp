@@ -135,14 +135,11 @@ chain_functions(const std::vector<double> & placements, const std::vector<double
 
 bool to_vector(PyObject * object, std::vector<double> & values)
 {
-  const Py_ssize_t size = PySequence_Size(object);
-  for (Py_ssize_t i = 0; i < size; ++i)
-  {
-    PyObject * item = PySequence_GetItem(object, i);
-    if (!item) return false;
-    values.push_back(PyFloat_AsDouble(item));
-    Py_DECREF(item);
-  }
+  PyObject * sequence = PySequence_Fast(object, "expected a sequence of floats");
+  if (!sequence) return false;
+  for (Py_ssize_t i = 0; i < PySequence_Fast_GET_SIZE(sequence); ++i)
+    values.push_back(PyFloat_AsDouble(PySequence_Fast_GET_ITEM(sequence, i)));
+  Py_DECREF(sequence);
   return !PyErr_Occurred();
 }
 

@@ -242,13 +242,13 @@ double log_evidence(const std::vector<Joint> & joints, const Normal & n, const V
 
 bool read(PyObject * list, Held & held, std::vector<Joint> & joints)
 {
-  for (Py_ssize_t j = 0; j < PyTuple_Size(list); ++j)
+  for (Py_ssize_t j = 0; j < PyTuple_GET_SIZE(list); ++j)
   {
     Joint one;
     Py_ssize_t m, features;
     PyObject *xx, *xy, *tx, *ty, *values, *live;
     if (!PyArg_ParseTuple(
-          PyTuple_GetItem(list, j), "nnOOOOOOddd", &m, &features, &xx, &xy, &tx, &ty, &values, &live, &one.yy, &one.log_det, &one.count))
+          PyTuple_GET_ITEM(list, j), "nnOOOOOOddd", &m, &features, &xx, &xy, &tx, &ty, &values, &live, &one.yy, &one.log_det, &one.count))
       return false;
     one.m = m, one.features = features;
     const auto get = [&held](PyObject * object, Py_ssize_t size) { return static_cast<const double *>(held.get(object, false, size)); };
