@@ -107,6 +107,16 @@ def test_every_folder_says_what_lives_in_it_and_is_read_at_a_glance():
     assert {folder: count for folder, count in counts.items() if count > 14} == {}, "too many files"
 
 
+def test_a_class_has_a_name_of_its_own():
+    """But for the results that `rrr_oc/python` hands to people, which are named as what they hold."""
+    where: dict[str, list[str]] = {}
+    for path in (p for p in MODULES if folder_of(p) != "python"):
+        for node in parsed(path).body:
+            if isinstance(node, ast.ClassDef):
+                where.setdefault(node.name, []).append(name_of(path))
+    assert {name: files for name, files in where.items() if len(files) > 1} == {}
+
+
 def test_functions_are_short_and_take_few_arguments():
     wrong = []
     for path in MODULES:

@@ -117,7 +117,7 @@ def _turned(rpy_deg: Sequence[float]) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Kept:
+class Clearance:
     """A distance that a point of the arm keeps.
 
     Attributes:
@@ -146,7 +146,7 @@ class Surroundings(Struct, frozen=True):
     keep_outs: tuple[KeepOut, ...] = ()
     link_radius: float = 0.0
 
-    def kept(self, robot: Robot, tool: ToolPoint, moving: Sequence[int], q, rest: np.ndarray) -> list[Kept]:
+    def kept(self, robot: Robot, tool: ToolPoint, moving: Sequence[int], q, rest: np.ndarray) -> list[Clearance]:
         """The distances that an arm keeps at angles of all joints (n,), numbers or casadi's, of those points that move.
 
         Args:
@@ -159,11 +159,11 @@ class Surroundings(Struct, frozen=True):
         angles = np.tile(rest, (POSTURES, 1))
         angles[:, list(moving)] += np.random.default_rng(0).uniform(-2, 2, (POSTURES, len(moving)))
         drawn, points = np.array([np.array(ends(posture)) for posture in angles]), ends(q)
-        up, found = upwards(robot.gravity), list[Kept]()
+        up, found = upwards(robot.gravity), list[Clearance]()
         for _, last, of in links if np.isfinite(self.floor) else ():
             if np.ptp(up @ drawn[:, :, last].T) > FIXED:
                 radius = self.link_radius * (last < robot.n)
-                found.append(Kept(FLOOR, of, ca.dot(ca.DM(up), points[:, last]), self.floor + radius))
+                found.append(Clearance(FLOOR, of, ca.dot(ca.DM(up), points[:, last]), self.floor + radius))
         for first, last, of in links if self.keep_outs else ():
             length = float(np.linalg.norm(drawn[0, :, last] - drawn[0, :, first]))
             count = int(np.ceil(length / SPACING))
@@ -173,7 +173,7 @@ class Surroundings(Struct, frozen=True):
                     ball = float(np.hypot(self.link_radius, length / count / 2))
                     least = 0.0 if share == 1 and last == robot.n else ball
                     point = (1 - share) * points[:, first] + share * points[:, last]
-                    found += [Kept(f"the keep-out {one.name}", of, one.distance(point), least) for one in self.keep_outs]
+                    found += [Clearance(f"the keep-out {one.name}", of, one.distance(point), least) for one in self.keep_outs]
         return found
 
 

@@ -19,7 +19,7 @@ FORMAT = "rrr_oc-design/1"
 T = TypeVar("T")
 
 
-class Metrics(Struct, frozen=True, forbid_unknown_fields=True):
+class MetricsEntry(Struct, frozen=True, forbid_unknown_fields=True):
     """The paper's metrics of a torque.
 
     Attributes:
@@ -35,7 +35,7 @@ class Metrics(Struct, frozen=True, forbid_unknown_fields=True):
     peak: dict[str, float]
 
 
-class OfMotors(Metrics, frozen=True):
+class OfMotors(MetricsEntry, frozen=True):
     """Metrics of the motor torque that a motion needs of given motors and gears, at the joint's output; its E1 is the motor torque squared.
 
     Attributes:
@@ -47,7 +47,7 @@ class OfMotors(Metrics, frozen=True):
     electrical_J: float | None = None
 
 
-class Tracking(Metrics, frozen=True):
+class Tracking(MetricsEntry, frozen=True):
     """Metrics of the load torque in MuJoCo.
 
     Attributes:
@@ -61,7 +61,7 @@ class Tracking(Metrics, frozen=True):
     tracking_error_rad: float
 
 
-class Simulated(Tracking, frozen=True):
+class SimulatedOptimum(Tracking, frozen=True):
     """Metrics of the load torque in MuJoCo, with the smoothed springs of the design.
 
     Attributes:
@@ -83,9 +83,9 @@ class Transferred(Struct, frozen=True, forbid_unknown_fields=True):
         uncalibrated: Joints that the model says nothing of.
     """
 
-    engine: Metrics
-    eq10: Metrics | None
-    motor: Metrics
+    engine: MetricsEntry
+    eq10: MetricsEntry | None
+    motor: MetricsEntry
     tracking_error_rad: float
     saturated: bool
     uncalibrated: tuple[str, ...] = ()
@@ -210,7 +210,7 @@ class Layer(Struct, frozen=True, forbid_unknown_fields=True):
     seconds: float
 
 
-class Moved(Metrics, frozen=True, kw_only=True):
+class MovedEntry(MetricsEntry, frozen=True, kw_only=True):
     """The motion of a task with the springs of a configuration, and metrics of its load torque.
 
     Attributes:
@@ -249,7 +249,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
     beyond: dict[str, str]
     certificate: Certificate
     meshes: tuple[MeshRow, ...]
-    mujoco: Simulated
+    mujoco: SimulatedOptimum
     scenarios: tuple[Case, ...] = ()
     calibrated: Transferred | None = None
     foreseen: Foreseen | None = None
@@ -288,7 +288,7 @@ class Priced(Struct, frozen=True, forbid_unknown_fields=True):
     mounted: dict[str, dict[str, Any]]
 
 
-class Choice(Struct, frozen=True, forbid_unknown_fields=True):
+class ChoiceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     """Which of the offered springs are worth their price.
 
     Attributes:
@@ -385,14 +385,14 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     springs: dict[str, float]
     mounted: dict[str, dict[str, Any]]
     parameters: dict[str, dict[str, float]]
-    tasks: dict[str, Moved]
+    tasks: dict[str, MovedEntry]
     parts: tuple[Part, ...] = ()
     optima: tuple[LocalOptimum, ...] = ()
     layers: dict[str, Layer] = {}
     covered: Covered | None = None
     change: float | None = None
     front: tuple[Compromise, ...] = ()
-    choice: Choice | None = None
+    choice: ChoiceEntry | None = None
     catalogue: Bought | None = None
     not_bought: str | None = None
     published_springs: float | None = None
@@ -402,7 +402,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     wall_s: float
 
     @property
-    def first(self) -> Moved:
+    def first(self) -> MovedEntry:
         """The motion of the first task, or of the only one."""
         return next(iter(self.tasks.values()))
 
@@ -412,7 +412,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return bool(self.mounted) and all(set(moved.idle) == set(self.mounted) for moved in self.tasks.values())
 
 
-class Limits(Struct, frozen=True, forbid_unknown_fields=True):
+class LimitsEntry(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a joint; null where there is none.
 
     Attributes:
@@ -457,7 +457,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     start: dict[str, float] | None
     release: dict[str, float] | None
     speeds: dict[str, str]
-    limits: dict[str, Limits]
+    limits: dict[str, LimitsEntry]
     spring_limits: SpringLimits | None = None
     floor_m: float | None = None
     keep_outs: tuple[KeepOut, ...] = ()
@@ -478,7 +478,7 @@ class Unsure(Struct, frozen=True, forbid_unknown_fields=True):
     over: Literal["calibrated", "mean", "worst"] = "calibrated"
 
 
-class Quantity(Struct, frozen=True, forbid_unknown_fields=True):
+class QuantityEntry(Struct, frozen=True, forbid_unknown_fields=True):
     """What is minimised.
 
     Attributes:
@@ -530,7 +530,7 @@ class DesignFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     objective: Literal["sum", "worst"]
     uncertain: Unsure
     cost: str
-    quantity: Quantity
+    quantity: QuantityEntry
     paper: bool
     joints: tuple[str, ...]
     moving: tuple[str, ...]

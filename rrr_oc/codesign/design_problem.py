@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rrr_oc.codesign.clearance import Kept
+from rrr_oc.codesign.clearance import Clearance
 from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
@@ -286,7 +286,7 @@ class CoDesign:
         return np.flatnonzero(np.isfinite(self.task.torque)).tolist()
 
     @property
-    def _kept(self) -> list[Kept]:
+    def _kept(self) -> list[Clearance]:
         """The distances that the arm keeps, of symbols."""
         return self.task.kept(ca.SX.sym("q", self.task.robot.n))
 

@@ -75,7 +75,7 @@ class CatalogueResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PartChoice:
     """Some choices of a catalogue, and the optimum with parameters between theirs.
 
     Attributes:
@@ -99,7 +99,7 @@ class Part:
         return int(np.prod([k.size for k in self.kinds]))
 
 
-class Search:
+class PartSearch:
     """Branch and bound over a catalogue, from the continuous optimum `start`, on the fine mesh with the smallest smoothing width.
 
     Attributes:
@@ -110,10 +110,10 @@ class Search:
 
     def __init__(self, choices: Choices, start: Solution, options: SearchOptions) -> None:
         self.choices = choices
-        self.single, self.others, self.parts = list[Part](), list[Part](), list[Part]()
+        self.single, self.others, self.parts = list[PartChoice](), list[PartChoice](), list[PartChoice]()
         w = transcribed(choices.design, options, options.fine).pack(start.guess())
         self._problem = uuid.uuid4().hex, choices.design, options, w
-        self._add([(choices.every, Part(choices.every, start.cost, start.parameters, w, False, 0.0))])
+        self._add([(choices.every, PartChoice(choices.every, start.cost, start.parameters, w, False, 0.0))])
 
     @property
     def limit(self) -> float:
@@ -127,7 +127,7 @@ class Search:
         self._add([(half, part) for part in now for half in self.choices.halves(part.kinds, part.parameters)])
         return bool(now)
 
-    def _add(self, halves: list[tuple[Kinds, Part]]) -> None:
+    def _add(self, halves: list[tuple[Kinds, PartChoice]]) -> None:
         """Solve choices, each given with the part that was halved."""
         solutions = ordered(_solve, [(*self._problem, of.w, self.choices.between(kinds)) for kinds, of in halves])
         found = [_part(kinds, of, s) for (kinds, of), s in zip(halves, solutions, strict=True)]
@@ -146,11 +146,11 @@ class Search:
         return Coverage(self.choices.combinations, self.parts[0].size, *counts, margin, undercut)
 
 
-def _part(kinds: Kinds, of: Part, solution: tuple[float, np.ndarray, np.ndarray] | None) -> Part:
+def _part(kinds: Kinds, of: PartChoice, solution: tuple[float, np.ndarray, np.ndarray] | None) -> PartChoice:
     if solution is None:
         return replace(of, kinds=kinds, solved=False, undercut=0.0)
     cost, parameters, w = solution
-    return Part(kinds, cost, parameters, w, True, 1 - cost / of.bound if of.solved else 0.0)
+    return PartChoice(kinds, cost, parameters, w, True, 1 - cost / of.bound if of.solved else 0.0)
 
 
 def _solve(
@@ -191,14 +191,14 @@ def search_catalogue(
     if any(s.known for s in design.springs):
         raise UserError("the catalogue's search takes a task as it stands; effects known from a diagnosis are not supported")
     options = options or SearchOptions()
-    search = Search(choices_of(design, catalogue), start, options)
+    search = PartSearch(choices_of(design, catalogue), start, options)
     while len(search.parts) < MOST and search.halve():
         if progress:
             progress(len(search.parts))
     return _refined(search, start, options)
 
 
-def _refined(search: Search, start: Solution, options: SearchOptions) -> CatalogueResult:
+def _refined(search: PartSearch, start: Solution, options: SearchOptions) -> CatalogueResult:
     """The best choices followed to the smallest smoothing width once more, and the best of them refined."""
     design, best = search.choices.design, search.single[:FINALISTS]
     free = [name for s in design.springs for name in s.form.free_names(s.effect.joints)]

@@ -144,7 +144,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Twin:
+class TwinRun:
     """A calibrated model in which optima are tracked, and the arm's drives where they are known.
 
     Attributes:
@@ -160,7 +160,7 @@ class Twin:
     members: tuple[Member, ...] = ()
 
     @classmethod
-    def of(cls, path: str | Path, task: Task, drives: Actuators | None, listener: Listener) -> "Twin":
+    def of(cls, path: str | Path, task: Task, drives: Actuators | None, listener: Listener) -> "TwinRun":
         """The model of a file on a task's robot; raises `UserError` where it is of another."""
         model = load_model(path)
         unknown = unknown_joints(task, model)
@@ -194,7 +194,7 @@ class Study:
     designs: Mapping[str, Sequence[SetDesign]]
     asked: dict[str, Any]
     shop: Catalogue | None
-    twin: Twin | None
+    twin: TwinRun | None
     published: Published | None
     listener: Listener
     described: TaskSet
@@ -252,7 +252,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     check_folder(request.out)
     _check_combined(request, tasks)
     drives = _drives(request, tasks.first)
-    twin = None if request.model is None else Twin.of(request.model, tasks.first, drives, listener)
+    twin = None if request.model is None else TwinRun.of(request.model, tasks.first, drives, listener)
     names = offered(tasks.first)
     for task in tasks.tasks:
         names = holding(task, request.configurations, names, listener)
@@ -277,7 +277,7 @@ def _drives(request: Request, task: Task) -> Actuators | None:
     return None if source is None else load_actuators(task.joints, source)
 
 
-def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | None, twin: Twin | None) -> list[SetDesign]:
+def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | None, twin: TwinRun | None) -> list[SetDesign]:
     """The problems of a configuration, one for each way to mount its springs; with a price, one with every way to mount each."""
     _check_clutches(tasks, name)
     ways = arrangements(tasks.first, name)

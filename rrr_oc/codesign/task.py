@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta, field
 from scipy.optimize import least_squares, minimize
 
-from rrr_oc.codesign.clearance import FLOOR, TOOL, KeepOut, Kept, Surroundings, link_ends
+from rrr_oc.codesign.clearance import FLOOR, TOOL, Clearance, KeepOut, Surroundings, link_ends
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
@@ -268,7 +268,7 @@ class Task:
         """Rows of the moving joints whose jerk has a limit."""
         return np.flatnonzero(np.isfinite(self.jerk)).tolist()
 
-    def kept(self, q) -> list[Kept]:
+    def kept(self, q) -> list[Clearance]:
         """The distances that tool and links keep at angles of all joints (n,), numbers or casadi's."""
         return self.around.kept(self.robot, self.tool, self.moving, q, self.full(self.start))
 

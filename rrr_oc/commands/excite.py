@@ -13,7 +13,7 @@ from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import MOST, Jobs, Joints, Workers, check_apart, check_payload, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.design import Excitation, Search
+from rrr_oc.excitation.design import Excitation, ExcitationSearch
 from rrr_oc.excitation.design import excite as optimised
 from rrr_oc.excitation.information import INERTIAL, Information, information, model_sensitivity
 from rrr_oc.excitation.limits import UNITS, Rig, robot_limits, stands
@@ -58,7 +58,7 @@ def excite(
     It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for.
     """
     output = Output(quiet, as_json)
-    search = Search(duration, harmonics, starts, seed=seed)
+    search = ExcitationSearch(duration, harmonics, starts, seed=seed)
     check_file(out)
     check_apart([Path(urdf)], [out])
     check_payload(payload)

@@ -211,7 +211,7 @@ rrr-oc diagnose {shown(SET)} --out {shown("diagnosis")}
 
 
 @dataclass(frozen=True)
-class Moved:
+class MovedTask:
     """How the arm moves in the task.
 
     Attributes:
@@ -259,7 +259,7 @@ def _write_task(path: Path, name: str, robot: Robot) -> tuple[str, ...]:
     raise UserError(said)
 
 
-def _ways_to_move(robot: Robot) -> Iterator[Moved]:
+def _ways_to_move(robot: Robot) -> Iterator[MovedTask]:
     """The joints that lift; where these do not move the tool, as those that turn a stretched arm about itself, any other two."""
     locked = np.array([resting_angle(low, high) for low, high in zip(robot.lower, robot.upper, strict=True)])
     yield _moved(robot, locked, _lifting(robot, locked))
@@ -267,7 +267,7 @@ def _ways_to_move(robot: Robot) -> Iterator[Moved]:
         yield _moved(robot, locked, joints)
 
 
-def _moved(robot: Robot, q: np.ndarray, joints: tuple[int, ...]) -> Moved:
+def _moved(robot: Robot, q: np.ndarray, joints: tuple[int, ...]) -> MovedTask:
     """Some joints that move, their limits, where the others stand, of q [rad], and a tool that the last joint moves if the file has none."""
     locked, tool = np.degrees(q), None
     if (
@@ -281,7 +281,7 @@ def _moved(robot: Robot, q: np.ndarray, joints: tuple[int, ...]) -> Moved:
         )  # as far again as the last link's centre of mass
         robot = replace(robot, tool=ToolPoint(robot.n - 1, tool))
     locked = np.array([0.0 if j in joints else np.round(angle, 1) for j, angle in enumerate(locked)])
-    return Moved(robot, joints, tuple(_limits(robot, j) for j in joints), locked, tool)
+    return MovedTask(robot, joints, tuple(_limits(robot, j) for j in joints), locked, tool)
 
 
 def _lifting(robot: Robot, q: np.ndarray) -> tuple[int, ...]:
@@ -302,7 +302,7 @@ def _limits(robot: Robot, j: int) -> tuple[float, float, float]:
     return float(low), float(high), float(np.floor(10 * speed) / 10)
 
 
-def _ends(moved: Moved) -> Iterator[Ends]:
+def _ends(moved: MovedTask) -> Iterator[Ends]:
     """Both ends of tasks, the best first: in front of the base, above a table, and with little way of the joints.
 
     The best pair is offered as positions, which a few digits can tell where the moving joints' plane is that of two coordinates,
@@ -322,7 +322,7 @@ def _ends(moved: Moved) -> Iterator[Ends]:
         yield Ends(first, f'{second}; also "position_m"', _payload(moved, pair))
 
 
-def _pairs(moved: Moved) -> list[tuple[np.ndarray, np.ndarray]]:
+def _pairs(moved: MovedTask) -> list[tuple[np.ndarray, np.ndarray]]:
     """Angles [°] (2, m) and places [m] (2, 3) of both ends of tasks, the best first."""
     robot, body, rng = moved.robot, rigid_body(moved.robot), np.random.default_rng(0)
     low, high = np.array(moved.limits)[:, :2].T
@@ -349,7 +349,7 @@ def _front(robot: Robot, places: np.ndarray) -> np.ndarray:
     return middle / np.linalg.norm(middle)
 
 
-def _payload(moved: Moved, pair: np.ndarray) -> float:
+def _payload(moved: MovedTask, pair: np.ndarray) -> float:
     """A payload [kg], of one digit, that suits the moved mass, and that the joints hold at both ends (2, m) [°] if they hold the arm."""
     robot, joints = moved.robot, list(moved.joints)
     inverse, still = Model(robot, robot.tool).inverse, np.zeros(robot.n)
@@ -364,7 +364,7 @@ def _payload(moved: Moved, pair: np.ndarray) -> float:
     return float(f"{np.floor(most / digit * (1 + 1e-9)) * digit:.1g}") or 1e-3
 
 
-def _task(name: str, moved: Moved, ends: Ends, floor: str) -> str:
+def _task(name: str, moved: MovedTask, ends: Ends, floor: str) -> str:
     """The content of task.json, with a hint of every optional key."""
     robot, limits = moved.robot, moved.limits
     names = [robot.joints[j] for j in moved.joints]

@@ -14,10 +14,10 @@ from rrr_oc.diagnosis.result import LINK_ERRORS, Finding, Suggestion
 from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.design import Search, excite, times
+from rrr_oc.excitation.design import ExcitationSearch, excite, times
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import information, model_sensitivity
-from rrr_oc.excitation.limits import Limits, Rig, robot_limits
+from rrr_oc.excitation.limits import MotionLimits, Rig, robot_limits
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring
@@ -85,7 +85,7 @@ def _rig(recordings: RecordingSet, plain: CalibratedModel, seen: View, springs: 
     outside = low >= high  # recorded beyond the range that the robot's description allows
     q = ca.SX.sym("q", robot.n)
     height = ca.Function("height", [q], [physics.built.tool_height(q)])
-    limits = Limits(
+    limits = MotionLimits(
         np.where(outside, seen.low, low),
         np.where(outside, seen.high, high),
         np.minimum(FASTER * seen.speed, np.maximum(known.speed, seen.speed)),
@@ -119,7 +119,7 @@ def _optimised(rig: Rig, plain: CalibratedModel, seed: int) -> list[Motion]:
     if rig.model.robot.n > OPTIMISED:
         return []
     noise = np.where(np.isfinite(plain.noise) & (plain.noise > 0), plain.noise, 1.0)
-    search = Search(DURATION, 2 * HARMONICS, starts=1, draws=CANDIDATES, seed=seed, iterations=ITERATIONS, step=STEP)
+    search = ExcitationSearch(DURATION, 2 * HARMONICS, starts=1, draws=CANDIDATES, seed=seed, iterations=ITERATIONS, step=STEP)
     with contextlib.suppress(UserError):  # no motion that keeps the limits; the random ones do
         known = model_sensitivity(rig)
         interest = [name for name in known.names if name != "payload"]

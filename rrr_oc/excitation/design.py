@@ -32,7 +32,7 @@ def times(duration: float, step: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Search:
+class ExcitationSearch:
     """How a motion is searched for.
 
     Attributes:
@@ -84,7 +84,9 @@ class Excitation:
 
 
 def excite(
-    information: Information, search: Search = Search(), report: Callable[[int, float], None] = lambda done, value: None
+    information: Information,
+    search: ExcitationSearch = ExcitationSearch(),
+    report: Callable[[int, float], None] = lambda done, value: None,
 ) -> Excitation:
     """The motion within a rig's limits of greatest information; raises `UserError` where none is found that keeps the limits.
 
@@ -112,11 +114,11 @@ def excite(
     return Excitation(motion, information.log_det(motion), drawn, solved, best.status)
 
 
-def _solved(key: str, information: Information, search: Search, index: int, x: np.ndarray) -> tuple[int, "_Run"]:
+def _solved(key: str, information: Information, search: ExcitationSearch, index: int, x: np.ndarray) -> tuple[int, "_Run"]:
     return index, once_per_process(key, lambda: _problem(information, search)).solve(x)
 
 
-def _problem(information: Information, search: Search) -> "_Problem":
+def _problem(information: Information, search: ExcitationSearch) -> "_Problem":
     return _Problem(information, Series(search.duration, search.harmonics), search)
 
 
@@ -138,7 +140,7 @@ class _Problem:
 
     information: Information
     series: Series
-    search: Search
+    search: ExcitationSearch
 
     @property
     def rig(self) -> Rig:

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from rrr_oc.excitation.limits import Limits
+from rrr_oc.excitation.limits import MotionLimits
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Series:
         """The coefficients of q = 1, shape (2 N − 1,)."""
         return self._rest[0]
 
-    def random(self, limits: Limits, rng: np.random.Generator) -> np.ndarray:
+    def random(self, limits: MotionLimits, rng: np.random.Generator) -> np.ndarray:
         """Coefficients (2 N − 1, moving joints) of a random motion within ranges, speed and acceleration limits."""
         bases, moving = self.basis(self.grid), limits.moving
         x = rng.normal(size=(bases[0].shape[1], moving.size))
@@ -68,7 +68,7 @@ class Series:
         shift = np.maximum(half - np.max(np.abs(bases[0] @ x), axis=0) * size / self.margin, 0)
         return x * size + np.outer(self.still, middle + shift * rng.uniform(-1, 1, moving.size))
 
-    def motion(self, x: np.ndarray, limits: Limits, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def motion(self, x: np.ndarray, limits: MotionLimits, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q, dq, ddq (n, K) of all joints at times t (K,)."""
         result = []
         for basis in self.basis(t):

@@ -19,7 +19,7 @@ NO_LIMIT = 1e6  # rad/s, Nm; a URDF's speed or effort of 0 or beyond this means 
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class MotionLimits:
     """What a motion must keep to; shapes (n,), infinite where nothing limits it.
 
     Attributes:
@@ -57,10 +57,12 @@ class Limits:
         return np.flatnonzero(self.lower < self.upper)
 
 
-def robot_limits(robot: Robot, acceleration: float | np.ndarray = math.inf, floor: float = -math.inf) -> Limits:
+def robot_limits(robot: Robot, acceleration: float | np.ndarray = math.inf, floor: float = -math.inf) -> MotionLimits:
     """The limits of a robot's URDF where it has some, and those of which a URDF says nothing."""
     speed, torque = (np.where((x > 0) & (x < NO_LIMIT), x, np.inf) for x in (robot.velocity, robot.effort))
-    return Limits(robot.lower, robot.upper, speed, np.broadcast_to(np.asarray(acceleration, float), robot.n), torque, floor)
+    return MotionLimits(
+        robot.lower, robot.upper, speed, np.broadcast_to(np.asarray(acceleration, float), robot.n), torque, floor
+    )
 
 
 def stands(robot: Robot) -> bool:
@@ -104,7 +106,7 @@ class Rig:
     """An arm in the laboratory: its model with the springs that are mounted, their values, payload [kg] and limits."""
 
     model: Model
-    limits: Limits
+    limits: MotionLimits
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))
     payload: float = 0.0
 
@@ -144,7 +146,7 @@ class Rig:
         return {name: float(value) for name, value in found.items()}
 
 
-def states_within(limits: Limits, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states_within(limits: MotionLimits, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Random q, dq, ddq (n, count) within the limits; joints that stand still do so."""
     rng, n = np.random.default_rng(seed), limits.lower.size
     still = (limits.lower < limits.upper)[:, None]

@@ -23,7 +23,7 @@ EFFORTS = {"current": "current", "command": "command"}  # by what is recorded, w
 UNIT_OF = {"current": "A", "command": "rad"}  # of these columns; else Nm
 
 
-class Tool(Schema, frozen=True):
+class ToolOnLink(Schema, frozen=True):
     """Where a payload is held.
 
     Attributes:
@@ -49,7 +49,7 @@ class Actuator(Schema, frozen=True):
             raise ValueError("torque_constant: found 0; a number of Nm/A other than 0 is required")
 
 
-class Entry(Schema, frozen=True):
+class RecordingEntry(Schema, frozen=True):
     """One recording as it is listed.
 
     Attributes:
@@ -107,11 +107,11 @@ class Header(Schema, frozen=True):
     format: Literal["rrr_oc-recordings/1"]
     robot: Text
     joints: Annotated[tuple[Text, ...], Meta(min_length=1)]
-    recordings: Annotated[tuple[Entry, ...], Meta(min_length=1)]
+    recordings: Annotated[tuple[RecordingEntry, ...], Meta(min_length=1)]
     torque: Torque = "motor"
     inertial: Literal["nominal", "identify"] = "nominal"
     gravity: Vector | None = None
-    tool: Tool | None = None
+    tool: ToolOnLink | None = None
     actuators: dict[str, Actuator] = field(default_factory=dict)
     fixed_deg: dict[str, float] = field(default_factory=dict)
     coupling: Coupling | None = None
@@ -151,11 +151,11 @@ class Header(Schema, frozen=True):
         constant = np.array(self.torque_constant if kind == "tau" and self.torque == "current" else np.ones(len(matrix)), float)
         return np.array(matrix, float) * constant / constant[:, None]
 
-    def loop(self, entry: Entry) -> Loop | None:
+    def loop(self, entry: RecordingEntry) -> Loop | None:
         """The loop that follows the commands of a recording; None where torques or currents are recorded."""
         return None if self.torque != "command" else Loop(*(_by_joint(gain, self.joints) for gain in self._gains(entry)))
 
-    def _gains(self, entry: Entry) -> tuple[Gain | None, Gain | None]:
+    def _gains(self, entry: RecordingEntry) -> tuple[Gain | None, Gain | None]:
         """kp and kd in a recording."""
         return self.kp if entry.kp is None else entry.kp, self.kd if entry.kd is None else entry.kd
 

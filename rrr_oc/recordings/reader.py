@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import faults, plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Entry, Header, Spring, read_header
+from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Header, RecordingEntry, Spring, read_header
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
@@ -71,7 +71,7 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
         raise UserError(f"{file}: robot {str(source)!r} cannot be read: {error.strerror}") from None
 
 
-def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
     path = folder / entry.file
     if not resolved(path).is_relative_to(resolved(folder)):  # a message may show what stands in it
         raise UserError(f"{path}: is a link that leads out of the set's folder; a recording must lie in it")

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from rrr_oc.codesign.design_file import Choice, Compromise, Configuration, DesignFile, Moved, Quantity
+from rrr_oc.codesign.design_file import ChoiceEntry, Compromise, Configuration, DesignFile, MovedEntry, QuantityEntry
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
 from rrr_oc.report import design_words as say
-from rrr_oc.report.sections import Part, Section, as_markdown
+from rrr_oc.report.sections import Passage, Section, as_markdown
 from rrr_oc.report.tables import NONE, SPRINGS, Table, table_3, table_4
 
 LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh):"
@@ -58,7 +58,7 @@ def report(study: DesignFile) -> str:
 
 def sections(study: DesignFile) -> list[Section]:
     """What a report says after its verdict; a section without parts is left out."""
-    moved = Part(figures=MOTION)
+    moved = Passage(figures=MOTION)
     made = [
         Section("Optima", tuple(_optima(study))),
         Section("At equal cycle times", tuple(_at_times(study))),
@@ -75,117 +75,117 @@ def sections(study: DesignFile) -> list[Section]:
     return [section for section in made if section.parts]
 
 
-def _optima(study: DesignFile) -> Iterator[Part]:
+def _optima(study: DesignFile) -> Iterator[Passage]:
     notes = " ".join(f"“{name}”: {words}" for name, words in columns_in_words(study).items())
-    yield Part(table=optima_table(study), note=notes)
+    yield Passage(table=optima_table(study), note=notes)
     motors = motors_table(study)
     if motors is not None:
-        yield Part(said=(MOTORS,), table=motors, note=MOTORS_NOTE)
+        yield Passage(said=(MOTORS,), table=motors, note=MOTORS_NOTE)
     if study.single and "SA" in study.configurations:
         beside = ", by joint: ours | paper (Table 3, simulation)" if study.paper else ", by joint"
-        yield Part(said=(f"Decrease against stiff actuation in percent{beside}.",), table=decrease_table(study))
+        yield Passage(said=(f"Decrease against stiff actuation in percent{beside}.",), table=decrease_table(study))
     if not study.single:
-        yield Part(figures=("tasks",))
+        yield Passage(figures=("tasks",))
         for name, c in study.configurations.items():
-            yield Part(f"Every task with {name}", table=tasks_table(study, c), of=name)
+            yield Passage(f"Every task with {name}", table=tasks_table(study, c), of=name)
 
 
-def _at_times(study: DesignFile) -> Iterator[Part]:
+def _at_times(study: DesignFile) -> Iterator[Passage]:
     table = cycle_times_table(study)
     if table is not None:
-        yield Part(said=(AT_TIMES,), table=table, note=AT_TIMES_NOTE, figures=("cycle_times",))
+        yield Passage(said=(AT_TIMES,), table=table, note=AT_TIMES_NOTE, figures=("cycle_times",))
 
 
-def _pictures(study: DesignFile) -> Iterator[Part]:
+def _pictures(study: DesignFile) -> Iterator[Passage]:
     """Where the page shows the arm."""
     for name in study.configurations if study.single else ():
-        yield Part(of=name, figures=(f"arm_{name}",))
+        yield Passage(of=name, figures=(f"arm_{name}",))
 
 
-def _hardware(study: DesignFile) -> Part:
+def _hardware(study: DesignFile) -> Passage:
     beside = ("Table 4, ours | paper:",) if study.paper else ()
     symbols = say.symbols(study.configurations)
     note = "; ".join(
         [f"{symbol}: {words}" for symbol, words in symbols] + ["t_go, t_return: durations with and without the payload."]
     )
-    return Part(said=beside, table=hardware_table(study), note=note if symbols else "")
+    return Passage(said=beside, table=hardware_table(study), note=note if symbols else "")
 
 
-def _mounted(study: DesignFile) -> Iterator[Part]:
+def _mounted(study: DesignFile) -> Iterator[Passage]:
     for name, c in study.configurations.items():
         if c.mounted and c.catalogue is None:
-            yield Part(f"How the springs of {name} are mounted", points=tuple(say.mounts(c)), of=name)
+            yield Passage(f"How the springs of {name} are mounted", points=tuple(say.mounts(c)), of=name)
 
 
-def _orders(study: DesignFile) -> Iterator[Part]:
+def _orders(study: DesignFile) -> Iterator[Passage]:
     limits = study.tasks[0].spring_limits
     if limits is not None and any(c.parts for c in study.configurations.values()):
-        yield Part(said=(say.part_limits(limits),), note=ORDERS)
+        yield Passage(said=(say.part_limits(limits),), note=ORDERS)
     for name, c in study.configurations.items():
         if c.parts:
-            yield Part(f"Springs of {name}", table=order_table(c), of=name)
+            yield Passage(f"Springs of {name}", table=order_table(c), of=name)
 
 
-def _postures(study: DesignFile) -> Iterator[Part]:
+def _postures(study: DesignFile) -> Iterator[Passage]:
     if any(None in (task.start, task.release) for task in study.tasks):
-        yield Part("Postures at start and release [°]", table=postures_table(study))
+        yield Passage("Postures at start and release [°]", table=postures_table(study))
 
 
-def _choices(study: DesignFile) -> Iterator[Part]:
+def _choices(study: DesignFile) -> Iterator[Passage]:
     some = {name: (c, c.choice) for name, c in study.configurations.items() if c.choice is not None}
     if some:
-        yield Part(figures=("choice",))
+        yield Passage(figures=("choice",))
     for name, (c, made) in some.items():
-        yield Part(name, (say.choice(c, made, study.quantity.unit),), table=choice_table(made, study.quantity), of=name)
+        yield Passage(name, (say.choice(c, made, study.quantity.unit),), table=choice_table(made, study.quantity), of=name)
 
 
-def _fronts(study: DesignFile) -> Iterator[Part]:
+def _fronts(study: DesignFile) -> Iterator[Passage]:
     some = {name: c.front for name, c in study.configurations.items() if c.front}
     if some:
-        yield Part(figures=("front",))
+        yield Passage(figures=("front",))
     for name, points in some.items():
-        yield Part(name, (FRONT,), table=front_table(points, study), of=name)
+        yield Passage(name, (FRONT,), table=front_table(points, study), of=name)
 
 
-def _scenarios(study: DesignFile) -> Iterator[Part]:
+def _scenarios(study: DesignFile) -> Iterator[Passage]:
     for name, c in study.configurations.items():
         if any(m.scenarios for m in c.tasks.values()):
             which = "mean" if study.uncertain.over == "mean" else "worst one"
-            yield Part(f"Scenarios of {name}", (CASES.format(which),), table=scenarios_table(c), of=name)
+            yield Passage(f"Scenarios of {name}", (CASES.format(which),), table=scenarios_table(c), of=name)
 
 
-def _open(study: DesignFile) -> Iterator[Part]:
+def _open(study: DesignFile) -> Iterator[Passage]:
     table = foreseen_table(study)
     if table is not None:
-        yield Part(said=(FORESEEN,), table=table, note=LEFT_OPEN)
+        yield Passage(said=(FORESEEN,), table=table, note=LEFT_OPEN)
     for name, c in study.configurations.items():
         if any(m.foreseen is not None and len(m.foreseen.members) > 1 for m in c.tasks.values()):
-            yield Part(f"Models that the recordings do not tell apart, with {name}", table=members_table(c), of=name)
+            yield Passage(f"Models that the recordings do not tell apart, with {name}", table=members_table(c), of=name)
 
 
-def _certificates(study: DesignFile) -> Iterator[Part]:
+def _certificates(study: DesignFile) -> Iterator[Passage]:
     for name, c in study.configurations.items():
-        yield Part(f"Certificate of {name}", points=tuple(say.certificate(study, c)), of=name)
+        yield Passage(f"Certificate of {name}", points=tuple(say.certificate(study, c)), of=name)
         if not study.single:
-            yield Part(said=("Of each motion, its springs held:",), table=motions_table(c), note=_notes(QUALITY), of=name)
+            yield Passage(said=("Of each motion, its springs held:",), table=motions_table(c), note=_notes(QUALITY), of=name)
         if study.single and c.first.certificate.active:
             bounds = tuple(say.bound(one.sentence) for one in c.first.certificate.active)
-            yield Part(said=("What limits it, the most costly bound first:",), points=bounds, of=name)
+            yield Passage(said=("What limits it, the most costly bound first:",), points=bounds, of=name)
         if c.not_bought:
-            yield Part(said=(f"No choice of the catalogue could be solved: {c.not_bought}",), of=name)
+            yield Passage(said=(f"No choice of the catalogue could be solved: {c.not_bought}",), of=name)
         if c.catalogue is not None:
-            yield Part(said=(say.coverage(c.catalogue),), of=name)
+            yield Passage(said=(say.coverage(c.catalogue),), of=name)
         if c.optima:
-            yield Part(said=(LOCAL_OPTIMA,), table=local_optima_table(study, c), of=name)
+            yield Passage(said=(LOCAL_OPTIMA,), table=local_optima_table(study, c), of=name)
         if c.layers:
-            yield Part(said=(LAYERS,), table=layers_table(c), of=name)
+            yield Passage(said=(LAYERS,), table=layers_table(c), of=name)
 
 
-def _twin(study: DesignFile) -> Iterator[Part]:
+def _twin(study: DesignFile) -> Iterator[Passage]:
     table, best = transfer_table(study.configurations), say.best_of(study.configurations) or next(iter(study.configurations))
     if table is not None:
         needed = say.in_twin(study, best)
-        yield Part(said=(needed,) if needed else (), table=table, note=say.transferred(study))
+        yield Passage(said=(needed,) if needed else (), table=table, note=say.transferred(study))
 
 
 LEAST_COST = 0.1  # from which three decimals are three digits
@@ -209,7 +209,7 @@ def small_too(cost: float) -> str:
     return f"{cost:.3f}" if abs(cost) >= LEAST_COST or not cost else f"{cost:.3g}"
 
 
-def _quality(m: Moved) -> list[str]:
+def _quality(m: MovedEntry) -> list[str]:
     """The cells of `QUALITY`."""
     k = m.certificate
     return [
@@ -244,27 +244,27 @@ def optima_table(study: DesignFile) -> Table:
     return header, rows
 
 
-def of_load(m: Moved) -> float | None:
+def of_load(m: MovedEntry) -> float | None:
     """E1 of a motion's load torque."""
     return m.E1
 
 
-def of_motors(m: Moved) -> float | None:
+def of_motors(m: MovedEntry) -> float | None:
     """The squared torque of a motion's motors; None where these are not known."""
     return None if m.motors is None else m.motors.E1
 
 
-def of_work(m: Moved) -> float | None:
+def of_work(m: MovedEntry) -> float | None:
     """The work of a motion's motors [J]; None where these are not known."""
     return None if m.motors is None else m.motors.work_J
 
 
-def of_electricity(m: Moved) -> float | None:
+def of_electricity(m: MovedEntry) -> float | None:
     """The electrical energy of a motion [J]; None where motors or windings are not known."""
     return None if m.motors is None else m.motors.electrical_J
 
 
-def _with_decrease(study: DesignFile, name: str, of: Callable[[Moved], float | None]) -> list[str]:
+def _with_decrease(study: DesignFile, name: str, of: Callable[[MovedEntry], float | None]) -> list[str]:
     """A number of a motion, and its decrease against stiff actuation."""
     own, stiff = of(study.configurations[name].first), study.configurations.get("SA")
     other = None if stiff is None or name == "SA" else of(stiff.first)
@@ -287,7 +287,7 @@ def motors_table(study: DesignFile) -> Table | None:
     return [*header, f"RMS of {', '.join(study.moving)} [Nm]", "peak [Nm]"], rows
 
 
-def _compared(c: Configuration | Moved) -> list[str]:
+def _compared(c: Configuration | MovedEntry) -> list[str]:
     """The cells of `SHARED`."""
     more = f"{100 * (c.cost / c.alone - 1):+.1f} %" if c.alone else NONE
     return [f"{c.alone:.3f}", more, f"{c.with_first:.3f}"]
@@ -464,7 +464,7 @@ def front_table(points: Sequence[Compromise], study: DesignFile) -> Table:
     return ["share of the first task", f"first task, {title}", f"set, {title}", "springs"], rows
 
 
-def choice_table(choice: Choice, quantity: Quantity) -> Table:
+def choice_table(choice: ChoiceEntry, quantity: QuantityEntry) -> Table:
     """The front of the number of springs: cost, cost with the price, and which springs."""
     rows = []
     for i, p in enumerate(choice.points):

@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from rrr_oc.codesign.design_file import (
     COMPARISON,
     Bought,
-    Choice,
+    ChoiceEntry,
     Configuration,
     DesignFile,
     Foreseen,
-    Moved,
+    MovedEntry,
     OfMotors,
     Priced,
-    Quantity,
+    QuantityEntry,
 )
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
@@ -173,7 +173,7 @@ def _shares(pairs: Iterable[tuple[str, float, float]]) -> list[tuple[str, float]
     return [(what, 100 * float(decrease(own, other))) for what, own, other in pairs if other]
 
 
-def _cost(c: Configuration, quantity: Quantity) -> str:
+def _cost(c: Configuration, quantity: QuantityEntry) -> str:
     return f"{c.cost:.4g} {quantity.unit}"
 
 
@@ -364,7 +364,7 @@ def certificate(study: DesignFile, c: Configuration) -> list[str]:
     return of_motion(c, c.first, study.quantity) if study.single else of_set(c)
 
 
-def of_motion(c: Configuration, m: Moved, quantity: Quantity) -> list[str]:
+def of_motion(c: Configuration, m: MovedEntry, quantity: QuantityEntry) -> list[str]:
     """What is known of springs and motion of one task."""
     k = m.certificate
     met = "within the tolerance" if k.mesh.converged else "more than the tolerance, which was not met"
@@ -393,7 +393,7 @@ def _height(metres: float) -> str:
     return "level with the base" if float(level) == 0 else f"{level} m {'below' if metres < 0 else 'above'} the base"
 
 
-def residual(m: Moved) -> float:
+def residual(m: MovedEntry) -> float:
     """The largest residual of the first-order conditions."""
     return max(m.certificate.primal, m.certificate.dual, m.certificate.complementarity)
 
@@ -489,7 +489,7 @@ def coverage(cover: Bought) -> str:
     return text + f"Cost of buying instead of making: {round(100 * cover.gap, 1) + 0.0:+.1f} % against the continuous optimum."
 
 
-def choice(c: Configuration, made: Choice, unit: str) -> str:
+def choice(c: Configuration, made: ChoiceEntry, unit: str) -> str:
     """Which number of springs is best at the price, and how far the front can be trusted."""
     best = made.points[made.chosen]
     which = f": {springs_of(best)}" if best.count else ""
@@ -605,7 +605,7 @@ def _away(differs: float, decimals: int, tracking_error: float) -> str:
     return f"{100 * differs:+.{decimals}f} % away from the planned one"
 
 
-def _of_motion(m: Moved) -> list[str]:
+def _of_motion(m: MovedEntry) -> list[str]:
     k = m.certificate
     said = [f"the law of the {placed(label)} is {how}: beyond, it is a guess" for label, how in m.beyond.items()]
     if not k.mesh.converged:

@@ -7,7 +7,7 @@ from rrr_oc.report.tables import Table, markdown
 
 
 @dataclass(frozen=True)
-class Part:
+class Passage:
     """What stands together in a section, in this order.
 
     Attributes:
@@ -47,7 +47,7 @@ class Section:
     """
 
     title: str
-    parts: tuple[Part, ...]
+    parts: tuple[Passage, ...]
 
 
 def as_markdown(sections: Sequence[Section]) -> str:

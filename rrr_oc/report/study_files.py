@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from rrr_oc import __version__
-from rrr_oc.codesign.design_file import Configuration, DesignFile, Quantity, TaskAsked, Unsure, data, typed
+from rrr_oc.codesign.design_file import Configuration, DesignFile, QuantityEntry, TaskAsked, Unsure, data, typed
 from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
@@ -72,7 +72,7 @@ def summary(study: Study, found: Mapping[str, Configuration], wall_s: float, com
         objective=tasks.objective,
         uncertain=Unsure(tasks.payload, tasks.model, study.request.over),
         cost=cost_in_words(next(iter(study.designs.values()))[0].first),
-        quantity=Quantity(QUANTITIES[cost], COST_UNITS[cost]),
+        quantity=QuantityEntry(QUANTITIES[cost], COST_UNITS[cost]),
         paper=study.published is not None,
         joints=first.robot.joints,
         moving=tuple(first.joints),

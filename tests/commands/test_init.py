@@ -16,7 +16,7 @@ from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.codesign.task import TaskFile, load_task, overloads
 from rrr_oc.commands.init import write_example
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.header import Entry, Header, read_header
+from rrr_oc.recordings.header import Header, RecordingEntry, read_header
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.schema import parsed
@@ -83,7 +83,7 @@ def uncommented(path: Path) -> str:
 
 def test_hints_name_every_optional_key_and_are_valid_once_uncommented(tmp_path):
     write_example("rrr", tmp_path / "set")
-    for file, structures in (("recordings/recordings.json", (Header, Entry)), ("task.json", (TaskFile,))):
+    for file, structures in (("recordings/recordings.json", (Header, RecordingEntry)), ("task.json", (TaskFile,))):
         text = (tmp_path / "set" / file).read_text()
         keys = {key for structure in structures for key in structure.__struct_fields__}
         assert not [key for key in keys if f'"{key}"' not in text and f'"{key}_kg"' not in text]

@@ -11,16 +11,16 @@ from chains import arm, random_chain
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.excitation import design as excitation
-from rrr_oc.excitation.design import Search, excite
+from rrr_oc.excitation.design import ExcitationSearch, excite
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import INERTIAL, Information, Sensitivity, information, model_sensitivity
-from rrr_oc.excitation.limits import Limits, Rig, robot_limits, signals, stands
+from rrr_oc.excitation.limits import MotionLimits, Rig, robot_limits, signals, stands
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, load_robot, urdf_text
 from studies.paper.sweeps import PROTOTYPE_SWEEP, sweep
 
 FRICTION = ("viscous_friction", "dry_friction")
-QUICK = Search(harmonics=5, starts=2, draws=8, iterations=60)
+QUICK = ExcitationSearch(harmonics=5, starts=2, draws=8, iterations=60)
 
 
 def friction_rig(robot: Robot, acceleration: float = 4.0, floor: float = -np.inf, torque: float | None = None) -> Rig:
@@ -285,9 +285,9 @@ def test_unusable_input(rig):
     with pytest.raises(UserError, match="speed limits must be above 0"):
         replace(rig.limits, speed=np.zeros(3))
     with pytest.raises(UserError, match="one shape"):
-        Limits(*[np.ones(k) for k in (3, 3, 2, 3, 3)])
+        MotionLimits(*[np.ones(k) for k in (3, 3, 2, 3, 3)])
     with pytest.raises(UserError, match="harmonics must be 3 or more"):
-        Search(harmonics=2)
+        ExcitationSearch(harmonics=2)
     with pytest.raises(UserError, match="6 parameters"):
         replace(rig, theta=np.zeros(2))
 

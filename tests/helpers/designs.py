@@ -6,7 +6,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from rrr_oc.codesign.certificate import Certificate, MeshQuality, Reintegration
-from rrr_oc.codesign.design_file import Configuration, DesignFile, Layer, Moved, Quantity, TaskAsked, Unsure, data, typed
+from rrr_oc.codesign.design_file import (
+    Configuration,
+    DesignFile,
+    Layer,
+    MovedEntry,
+    QuantityEntry,
+    TaskAsked,
+    Unsure,
+    data,
+    typed,
+)
 
 SPRINGS = {"k_p2": 10.0, "q_eq2": np.pi / 2, "k_b": 5.0, "r_1": 0.02}
 GOOD = Certificate(
@@ -21,7 +31,7 @@ def metrics(E1: float) -> dict[str, Any]:
     return {"E1": E1, "E1_joint": {"b": E1}, "rms": {"b": 1.0}, "peak": {"b": 2.0}}
 
 
-def moved(E1: float, certificate: Certificate = GOOD, **changes: Any) -> Moved:
+def moved(E1: float, certificate: Certificate = GOOD, **changes: Any) -> MovedEntry:
     """The motion of a task with this E1, which MuJoCo confirms."""
     tracked = metrics(E1) | {"E1_relative_error": 0.0, "energy_residual": 0.0, "tracking_error_rad": 0.0}
     found = metrics(E1) | {
@@ -34,10 +44,10 @@ def moved(E1: float, certificate: Certificate = GOOD, **changes: Any) -> Moved:
         "release": {"b": 1.0},
     }
     found |= {"lowest_tool_m": 0.1, "idle": {}, "beyond": {}, "certificate": certificate, "meshes": []}
-    return typed(found | {"mujoco": tracked | {"exact_springs": tracked}} | changes, Moved)
+    return typed(found | {"mujoco": tracked | {"exact_springs": tracked}} | changes, MovedEntry)
 
 
-def design(cost: float, motions: dict[str, Moved] | None = None, **changes: Any) -> Configuration:
+def design(cost: float, motions: dict[str, MovedEntry] | None = None, **changes: Any) -> Configuration:
     """The entry of a configuration of this cost, by default with one task."""
     found = {"cost": cost, "alone": cost, "with_first": cost, "springs": SPRINGS, "mounted": {"parallel_spring[b]": {}}}
     found |= {"parameters": {}, "tasks": motions or {"t": moved(cost)}, "wall_s": 1.0}
@@ -54,7 +64,7 @@ def summary(**found: Configuration) -> DesignFile:
     named = {name.replace("_", "*"): c for name, c in found.items()}
     tasks = tuple(map(of_task, next(iter(named.values())).tasks))
     return DesignFile(
-        name="made up", tasks=tasks, objective="sum", uncertain=Unsure(), cost="load torque²", quantity=Quantity("E1", "N²m²s"),
+        name="made up", tasks=tasks, objective="sum", uncertain=Unsure(), cost="load torque²", quantity=QuantityEntry("E1", "N²m²s"),
         paper=False, joints=("a", "b", "c"), moving=("b",), command="", seed=0, starts=10, wall_s=1.0, versions={}, options={},
         configurations=named,
     )  # fmt: skip
@@ -66,7 +76,7 @@ def with_motion(c: Configuration, **changes: Any) -> Configuration:
     old = c.first
     inner = {key: changes.pop(key) for key in list(changes) if key in Certificate.__struct_fields__}
     certificate = typed(data(old.certificate) | inner, Certificate)
-    return replace(c, tasks={task: typed(data(replace(old, certificate=certificate)) | changes, Moved)})
+    return replace(c, tasks={task: typed(data(replace(old, certificate=certificate)) | changes, MovedEntry)})
 
 
 def layer(**changes: Any) -> Layer:

@@ -4,12 +4,12 @@ import designs
 from msgspec.structs import replace
 
 from rrr_oc.codesign.clearance import Capsule, KeepOut
-from rrr_oc.codesign.design_file import DesignFile, Limits
+from rrr_oc.codesign.design_file import DesignFile, LimitsEntry
 from rrr_oc.report import design_words as say
 from rrr_oc.report.design_report import motors_table, optima_table
 
 POST = KeepOut("post", capsule=Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.1))
-JUMPING = Limits((0.0, 1.0), 1.0, 2.0, None)
+JUMPING = LimitsEntry((0.0, 1.0), 1.0, 2.0, None)
 
 
 def study(lowest: float, **changes) -> DesignFile:

@@ -85,7 +85,7 @@ class Needed:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class SpringPlace:
     """One spring of a design along the motion, its parameters open within their bounds."""
 
     spring: SpringBounds
@@ -157,7 +157,7 @@ class Place:
 class _Grid:
     """Springs of a place with given other parameters (d, P)."""
 
-    def __init__(self, place: Place, others: np.ndarray) -> None:
+    def __init__(self, place: SpringPlace, others: np.ndarray) -> None:
         self.place, self.others = place, others
         self._strongest = place.strongest(others, others)
         self._shapes = place.shapes(others)
@@ -173,7 +173,7 @@ class _Grid:
         return _Grid(self.place, np.hstack([self.others, others]))
 
 
-def _grid(place: Place) -> _Grid:
+def _grid(place: SpringPlace) -> _Grid:
     """Springs all over the bounds of a place."""
     lower, upper = (b[place.others] for b in (place.spring.lower, place.spring.upper))
     count = int(min(GRID, SHAPES / place.needed.weights.size) ** (1 / max(len(lower), 1)))
@@ -190,7 +190,7 @@ class _Greatest(NamedTuple):
     boxes: int
 
 
-def _greatest(place: Place, residual: np.ndarray, margin: float) -> _Greatest:
+def _greatest(place: SpringPlace, residual: np.ndarray, margin: float) -> _Greatest:
     """The bound is at most a margin above what a spring reaches, unless there are too many boxes for that."""
     lower, upper = (b[place.others][:, None] for b in (place.spring.lower, place.spring.upper))
     reached = bound = -np.inf
@@ -219,7 +219,7 @@ def _halved(lower: np.ndarray, upper: np.ndarray, influence: np.ndarray) -> tupl
     return np.hstack([lower, above]), np.hstack([below, upper])
 
 
-def _examined(place: Place, residual: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, ...]:
+def _examined(place: SpringPlace, residual: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, ...]:
     """Of boxes of the other parameters (d, P): an upper bound of ⟨r, a φ⟩ (P,), its value in the middle (P,), and how much each
     parameter may add to ⟨r, φ⟩ from there to the sides (d, P).
 
@@ -244,7 +244,7 @@ class _Mixture:
         cost: |r|² [N²m²s].
     """
 
-    def __init__(self, places: Sequence[Place], needed: Needed) -> None:
+    def __init__(self, places: Sequence[SpringPlace], needed: Needed) -> None:
         self._places, self._needed = places, needed
         self._springs: list[tuple[int, np.ndarray]] = []  # index of the place, torque (m, K)
         self.residual = needed.tau
@@ -297,7 +297,7 @@ def bound_on_motion(springs: Sequence[SpringBounds], needed: Needed, cost: float
 
     Raises `NotEnclosed` for springs whose torque has no interval form.
     """
-    places = [Place(spring, needed) for spring in springs]
+    places = [SpringPlace(spring, needed) for spring in springs]
     mixture, grids, lower, boxes = _Mixture(places, needed), [_grid(place) for place in places], 0.0, 0
     share = np.array([max(place.others.size, 1) ** 2 for place in places])  # of the margin: boxes of more parameters are more
     for turn in range(ROUNDS):

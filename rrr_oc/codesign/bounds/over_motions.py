@@ -18,7 +18,7 @@ import itertools
 
 import numpy as np
 
-from rrr_oc.codesign.bounds.on_motion import Needed, Place
+from rrr_oc.codesign.bounds.on_motion import Needed, SpringPlace
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import Task
@@ -88,7 +88,9 @@ def _pieces(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _stiffness(task: Task, spring: SpringBounds) -> np.ndarray:
     """Upper bounds of |d torque / d angle| of a spring [Nm/rad], (m, m), over all angles and all that its bounds allow."""
-    place = Place(spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0), np.empty(0)))  # of no motion
+    place = SpringPlace(
+        spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0), np.empty(0))
+    )  # of no motion
     joints = place.rows
     count = int(BOXES ** (1 / max(len(place.others), 1)))
     axes = [np.linspace(a, b, count + 1 if b > a else 2) for a, b in zip(spring.lower, spring.upper, strict=True)]

@@ -27,7 +27,7 @@ UNCERTAIN = 4  # quantities that may be uncertain together; each doubles the num
 Objective = Literal["sum", "worst"]
 
 
-class Entry(Schema, frozen=True):
+class TaskEntry(Schema, frozen=True):
     """One task of a set: a file of its own, or the base with what is given here in the place of its own.
 
     Attributes:
@@ -85,7 +85,7 @@ class TaskSetFile(Schema, frozen=True):
     """
 
     format: Literal["rrr_oc-tasks/1"]
-    tasks: Annotated[tuple[Entry, ...], Meta(min_length=1)]
+    tasks: Annotated[tuple[TaskEntry, ...], Meta(min_length=1)]
     base: Text | None = None
     name: Text | None = None
     objective: Objective = "sum"
@@ -175,7 +175,7 @@ def load_task_set(source: str | Path) -> TaskSet:
     )
 
 
-def _task(where: str, folder: Path, base: str | None, entry: Entry, index: int) -> Task:
+def _task(where: str, folder: Path, base: str | None, entry: TaskEntry, index: int) -> Task:
     """The task of an entry; messages name the entry."""
     named = entry.task or base
     if named is None:

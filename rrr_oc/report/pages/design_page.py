@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.codesign.design_file import Configuration, DesignFile, Limits, Quantity
+from rrr_oc.codesign.design_file import Configuration, DesignFile, LimitsEntry, QuantityEntry
 from rrr_oc.codesign.study import files_of
 from rrr_oc.effects.words import joint_words
 from rrr_oc.report import design_words as say
@@ -124,7 +124,7 @@ def _choices(c: Configuration) -> dict[str, list[Any]]:
     return columns(dict(zip(("count", "cost", "priced"), map(np.array, zip(*rows, strict=True)), strict=True)))
 
 
-def _choice(found: say.Found, quantity: Quantity) -> Figure:
+def _choice(found: say.Found, quantity: QuantityEntry) -> Figure:
     curves = (
         Curve("count", "cost", "load", "without the price"),
         Curve("count", "cost", "load", "without the price", "markers", 9),
@@ -148,7 +148,7 @@ def _times(found: say.Found, name: str) -> dict[str, list[Any]]:
     return columns({key: np.array(values, float) for key, values in rows.items()})
 
 
-def _cycle_times(found: say.Found, quantity: Quantity) -> Figure:
+def _cycle_times(found: say.Found, quantity: QuantityEntry) -> Figure:
     curves = [
         Curve("time", key, role, label, mode, width)
         for key, role, label in (
@@ -172,7 +172,7 @@ def _points(c: Configuration) -> dict[str, list[Any]]:
     return columns(dict(zip(("first", "total"), map(np.array, zip(*rows, strict=True)), strict=True)))
 
 
-def _front(found: say.Found, quantity: Quantity) -> Figure:
+def _front(found: say.Found, quantity: QuantityEntry) -> Figure:
     curves = (Curve("first", "total", "load", ""), Curve("first", "total", "load", "", "markers", 9))
     axes = (f"{quantity.title} of the first task", f"{quantity.title} of the set")
     captions = {name: FRONT if c.front else "Without springs there is nothing in between." for name, c in found.items()}
@@ -180,7 +180,7 @@ def _front(found: say.Found, quantity: Quantity) -> Figure:
     return Figure("front", "The set against its first task", "front", ("configuration",), axes, curves, captions, layout)
 
 
-def joint_columns(m: Arrays, j: int, limits: Limits | None, points: int) -> dict[str, np.ndarray]:
+def joint_columns(m: Arrays, j: int, limits: LimitsEntry | None, points: int) -> dict[str, np.ndarray]:
     """What the figures of one joint show, in degrees and Nm; the two phases meet at the instant of "release".
 
     Args:
