@@ -21,9 +21,6 @@ from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.simulation.engine_model import Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
 
-# What a calibrated model says of motor and gear, by its effects
-MOTORS = {"dry_friction": "dry_Nm", "viscous_friction": "viscous_Nm_s_per_rad", "armature": "inertia_kg_m2"}
-
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     """Raise `UserError` unless every optimum of the design can be simulated with the calibrated model: it has the joints of the
@@ -135,12 +132,12 @@ def motors_of(calibrated: CalibratedModel, task: Task) -> dict[str, MotorAndGear
         raise UserError(f"--actuators model: the model has no joint {unknown[0]!r}; it has {', '.join(calibrated.joints)}")
     found = {joint: dict[str, float]() for joint in task.joints}
     for term in calibrated.terms:
-        key = MOTORS.get(term.effect.name)
+        key = term.effect.motor
         for joint in (calibrated.joints[j] for j in term.effect.joints):
-            if key is not None and term.recordings == "all" and joint in found:
+            if key and term.recordings == "all" and joint in found:
                 found[joint][key] = found[joint].get(key, 0.0) + float(term.values[0])
     if not any(found.values()):
-        raise UserError(f"--actuators model: the model has none of {', '.join(MOTORS)} of {', '.join(task.joints)}")
+        raise UserError(f"--actuators model: the model has no friction and no rotor of {', '.join(task.joints)}")
     return {joint: MotorAndGear(**known) for joint, known in found.items()}
 
 

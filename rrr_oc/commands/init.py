@@ -147,6 +147,7 @@ def _header(name: str, robot: Robot, exact: bool) -> str:
   // "fixed_deg": {{}}, // angles of joints that are not recorded, by name; else 0, or the middle of a range that lacks 0
   // "tool": {{"link": {tool}, "position": [0.0, 0.0, 0.0]}}, // where a payload is held
   // "actuators": {{{first}: {{"torque_constant": 10.0}}}}, // Nm of {_plain(robot.joints[0])} per A, for all joints if currents are recorded
+  // "coupling": {{"q": {_identity(robot.n)}, "tau": {_identity(robot.n)}}}, // where columns are sums of joints: joints = matrix · columns
   // "kp": 20.0, "kd": 0.5, // Nm/rad and Nm s/rad of a loop whose commands are recorded; or by joint
   "recordings": [
     {{
@@ -167,6 +168,11 @@ def _where(name: str) -> str:
 
 def _plain(name: str) -> str:
     return " ".join(name.split())
+
+
+def _identity(n: int) -> list[list[float]]:
+    """A matrix that changes nothing, (n, n)."""
+    return np.eye(n).tolist()
 
 
 def _springs(joint: str) -> str:

@@ -196,6 +196,7 @@ class Effect:
         inputs: Which of the signals beside the motion its torque depends on: "load", so that forward dynamics must solve for the
             load; "friction", the plain friction of its joint; "rotor", its rotor's inertia; "springs", those that a recording lists.
         provides: Which of these signals its torque is part of: "friction", "rotor", "springs" (which a recording may list), or "".
+        motor: Which number of a motor and its gear its first parameter is, see `drives.MotorAndGear`; "" for none.
         role: "plain": part of every calibrated model. "law": a diagnosis looks for it. "black_box": no law of the catalogue; it
             stands for a torque that none explains. "design": a co-design may use it; a diagnosis does not look for it.
         scope: In which recordings it may be present. "everywhere": all or none. "set_up": all, none, or those of some set-ups.
@@ -227,6 +228,7 @@ class Effect:
     side: ClassVar[str] = "link"
     inputs: ClassVar[tuple[Input, ...]] = ()
     provides: ClassVar[Literal["", "friction", "rotor", "springs"]] = ""
+    motor: ClassVar[Literal["", "dry_Nm", "viscous_Nm_s_per_rad", "inertia_kg_m2"]] = ""
     role: ClassVar[Role] = "law"
     scope: ClassVar[Scope] = "everywhere"
     placement: ClassVar[Literal["joint", "joint or arm", "many", "pair", "spring", "arm"]] = "joint"

@@ -237,7 +237,7 @@ def _expanded(path: Path) -> str:
     tool = shutil.which("xacro")
     if tool is None:
         raise UserError(
-            f"{path}: is a xacro, of which the tool xacro makes a URDF, and which is not installed here; where ROS or pip install xacro is: "
+            f"{path}: is a xacro, of which the tool xacro makes a URDF, and which is not installed here; where ROS, or the package xacro, is: "
             f"xacro {path.name} > {path.name.split('.')[0]}.urdf, with the arguments that its package gives"
         )
     try:

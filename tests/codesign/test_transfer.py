@@ -75,7 +75,7 @@ def test_what_the_motors_do_is_the_friction_rotors_and_gears_of_task_or_model(mo
 
 def test_a_model_without_friction_and_rotors_has_no_motors(moved):
     bare = replace(calibrated(), terms=())
-    with pytest.raises(UserError, match="the model has none of dry_friction, viscous_friction, armature of joint2, joint3"):
+    with pytest.raises(UserError, match="the model has no friction and no rotor of joint2, joint3"):
         motors_of(bare, moved[0].task)
 
 

@@ -33,7 +33,7 @@ def test_rates_that_are_none_are_not_used(load, kind, factor, said):
             load(a=wrong)
         return
     found = load(a=wrong, b={name: values[:-50] for name, values in wrong.items()})
-    (note,) = found.notes
+    (note,) = (note for note in found.notes if "stand in a.csv again" not in note)  # of b, which is a without its end
     assert note.startswith("a.csv and 1 more: ")
     assert said in note
     assert note.endswith("; derivatives take their place")

@@ -89,6 +89,7 @@ NOT_RUN = {
     "validation/task_sets.py": ("minutes", "tests/codesign/test_task_sets.py"),
     "validation/scaling.py": ("minutes", "tests/benchmarks/bench_codesign.py"),
     "validation/analytic_vs_mujoco.py": ("minutes", "tests/simulation/test_tracking.py"),
+    "validation/servo_plants.py": ("an hour", "tests/calibration/test_late_commands.py"),
     "validation/calibration_coverage.py": ("hours", "tests/calibration/test_calibration.py"),
     "validation/calibration_ways.py": ("minutes", "tests/calibration/test_calibration.py"),
     "validation/diagnosis_times.py": ("hours", "tests/validation/test_diagnosis_times.py"),

@@ -17,6 +17,7 @@ from scipy.special import gammaln
 
 import rrr_oc.calibration.estimator._evidence as extension
 from rrr_oc.calibration.estimator.data import Data, Noise
+from rrr_oc.calibration.estimator.knobs import MEMORY, PAST, WANDER
 from rrr_oc.numerics.rank import lengths
 
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
@@ -140,7 +141,8 @@ class Joint(Spectrum):
     def estimated(cls, data: Data, j: int, left: np.ndarray, taken: np.ndarray | None = None) -> tuple["Joint", float]:
         """The noise of a residual (M,), without features yet, and its σ; `taken` (M, r) is as in `Noise.of`."""
         place, turning = data.place[j], data.turning[j]
-        noise = Noise.of(left, place, turning, taken)
+        wanders = np.sum(left**2) <= np.count_nonzero(place >= 0) * (WANDER * data.torque[j]) ** 2
+        noise = Noise.of(left, place, turning, taken, MEMORY if wanders else PAST)
         white, log_det = noise.whitening(place, turning)
         error = (white @ left)[place >= 0]
         freedom, log, sigma, weights = _tail(error)

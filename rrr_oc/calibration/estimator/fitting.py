@@ -26,7 +26,6 @@ from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_pa
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import shortened
 from rrr_oc.effects import Delay, Effect
-from rrr_oc.effects.friction.viscous_friction import ViscousFriction
 from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
@@ -398,7 +397,7 @@ def by_inner_loop(fitted: Fitted) -> np.ndarray:
     """
     loops = [p.recording.loop for p in fitted.posterior.data.prepared if p.recording.loop is not None]
     kinds = [t.effect for t in fitted.model.terms[: fitted.base] for _ in t.estimates]
-    at = [(i, e.joints[0]) for i, e in enumerate(kinds) if loops and isinstance(e, ViscousFriction)]
+    at = [(i, e.joints[0]) for i, e in enumerate(kinds) if loops and e.motor == "viscous_Nm_s_per_rad"]
     result = np.zeros((len(fitted.posterior.matrix), len(at)))
     for column, (i, j) in enumerate(at):
         result[i, column] = INNER_CYCLE * np.mean([loop.kp[j] for loop in loops])

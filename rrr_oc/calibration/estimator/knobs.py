@@ -3,7 +3,9 @@
 # Time before a row on which its noise is taken to depend [s]; doubled, the same from twice as many numbers.
 PAST = 0.5
 # Longest time over which a joint's noise may stay alike, as of a sensor whose zero wanders [s]; shorter, laws are found in such wander.
-MEMORY = 20.0
+MEMORY = 5.0
+# Share of a joint's torque, rms, up to which what is left may wander so; doubled, more of what is missing is taken for that.
+WANDER = 0.1
 # Share of a joint's torque by which the best law may be wrong; doubled, small effects are claimed later.
 DISCREPANCY = 0.003
 # Share of a joint's dry friction by which the best law of friction may be wrong; doubled, details of friction are claimed later.

@@ -24,6 +24,7 @@ class DryFriction(NativeTwin):
     width = SIGN_WIDTH
     side = "drive"
     provides = "friction"
+    motor = "dry_Nm"
     role = "plain"
 
     turn: str = "tanh"

@@ -13,6 +13,7 @@ class ViscousFriction(NativeTwin):
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
     provides = "friction"
+    motor = "viscous_Nm_s_per_rad"
     role = "plain"
 
     def torque(self, signals, theta, width):

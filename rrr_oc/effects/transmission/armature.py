@@ -16,6 +16,7 @@ class Armature(NativeTwin):
     parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
     side = "drive"
     provides = "rotor"
+    motor = "inertia_kg_m2"
     role = "plain"
 
     def torque(self, signals, theta, width):
