@@ -78,7 +78,7 @@ def test_noise_of_a_simulated_process_is_estimated_and_made_white():
     rng, place = np.random.default_rng(0), places(3000, -5, 3000)
     y = np.concatenate([lfilter([1.0], [1.0, -FIRST, -SECOND], INNOVATION * rng.standard_normal(6105))[100:]])
     y = y * (place >= 0)
-    data = SimpleNamespace(place=place[None], turning=np.zeros((1, len(place)), bool))
+    data = SimpleNamespace(torque=np.full(9, 1e3), place=place[None], turning=np.zeros((1, len(place)), bool))
     one, sigma = Joint.estimated(data, 0, y)
     assert sigma == pytest.approx(INNOVATION, rel=0.03)  # three standard errors
     filters = one.noise.filters[-1]

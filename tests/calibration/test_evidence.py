@@ -24,6 +24,7 @@ class Problem:
         self.residual = rng.standard_normal((2, m)) * counted
         self.columns = rng.standard_normal((2, m, parameters)) * counted[:, None]
         self.data = SimpleNamespace(
+            torque=np.full(9, 1e3),  # of each joint, so large that all noise may wander
             n=2,
             place=np.array([place, place]),
             turning=np.zeros((2, m), bool),

