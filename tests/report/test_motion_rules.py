@@ -48,7 +48,7 @@ def test_a_motion_below_the_base_is_told_where_no_floor_was_given():
 def test_what_the_motors_do_stands_beside_what_the_load_needs():
     """E1 falls by 90 %, the motors' squared torque by 20 % and their work by 10 %."""
 
-    def moved(E1: float, squared: float, work: float) -> designs.Moved:
+    def moved(E1: float, squared: float, work: float) -> designs.MovedEntry:
         return designs.moved(E1, motors=designs.metrics(squared) | {"work_J": work})
 
     stiff, best = designs.design(100.0, {"t": moved(100.0, 200.0, 50.0)}), designs.design(10.0, {"t": moved(10.0, 160.0, 45.0)})
