@@ -34,7 +34,7 @@ class Span:
     log: bool = False
 
     def of_change(self, value: float, wide: float) -> tuple[float, float, float]:
-        """Mean, precision and flat precision (see `evidence.ParameterPrior`) of a change from a value; a normal prior is `wide` times as wide."""
+        """Mean, precision and flat precision (of `ParameterPrior`) of a change from a value; a normal prior is `wide` times as wide."""
         std = max(self.std * (abs(value) if self.log else wide if self.normal else 1.0), 1e-12)
         return (self.centre - value, std**-2, 0.0) if self.normal else (0.0, 0.0, std**-2)
 
