@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import Delay, Effect, LateCommand, OfEach
+from rrr_oc.effects import Delay, Effect, OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.parameters import offsets
 from rrr_oc.model.recorded_physics import Physics
@@ -168,18 +168,17 @@ class CalibratedModel:
 
     def delays(self, recording: Recording) -> tuple[float, ...]:
         """By how much the recorded torque of each joint lags the motion of a recording [s], (n,)."""
-        result = np.zeros(self.robot.n)
-        for term in self.terms:
-            if isinstance(term.effect, Delay) and term.holds_for(recording):
-                result[list(term.effect.joints) or slice(None)] += term.effect.delay(term.named)
-        return tuple(result.tolist())
+        return self._times(recording, "delay")
 
     def waits(self, recording: Recording) -> tuple[float, ...]:
         """By how much later than they are recorded the commands of each joint act in a recording [s], (n,)."""
+        return self._times(recording, "wait")
+
+    def _times(self, recording: Recording, kind: Literal["delay", "wait"]) -> tuple[float, ...]:
         result = np.zeros(self.robot.n)
         for term in self.terms:
-            if isinstance(term.effect, LateCommand) and term.holds_for(recording):
-                result[list(term.effect.joints) or slice(None)] += term.effect.wait(term.named)
+            if isinstance(term.effect, Delay) and term.holds_for(recording):
+                result[list(term.effect.joints) or slice(None)] += getattr(term.effect, kind)(term.named)
         return tuple(result.tolist())
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:

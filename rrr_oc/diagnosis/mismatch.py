@@ -86,9 +86,16 @@ def idle(bench: Data, model: CalibratedModel) -> tuple[tuple[int, float, float],
     return tuple((int(j), float(np.mean(x)), float(np.std(x))) for j, x in zip(still, left, strict=True))
 
 
-def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:
-    """Standard deviation of each joint's filtered residual, less what of it wanders, over that of filtered sample noise, (n,)."""
-    return _rms(bench, fitted.residual - wander(bench, fitted)) / filtered_noise(bench, fitted.model)
+def left_over(bench: Data, fitted: Fitted, noisy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rms of each joint's filtered residual, less what of it wanders, over that of noise; and rms of what wanders, 0 where that is not
+    `FAR` above noise [Nm]; (n,) each.
+
+    Args:
+        noisy: Standard deviation of filtered noise, (n,) [Nm].
+    """
+    slow = wander(bench, fitted)
+    size = _rms(bench, slow)
+    return _rms(bench, fitted.residual - slow) / noisy, np.where(size > FAR * noisy, size, 0.0)
 
 
 def _rms(bench: Data, x: np.ndarray) -> np.ndarray:
@@ -110,16 +117,9 @@ def wander(bench: Data, fitted: Fitted) -> np.ndarray:
     return result
 
 
-def wander_of(bench: Data, fitted: Fitted) -> tuple[float, ...]:
-    """Rms of what of each joint's residual wanders, 0 where it is not `FAR` above noise, (n,) [Nm]."""
-    size = _rms(bench, wander(bench, fitted))
-    return tuple(np.where(size > FAR * filtered_noise(bench, fitted.model), size, 0.0).tolist())
-
-
-def unexplained(bench: Data, fitted: Fitted) -> np.ndarray:
-    """Rms of each joint's filtered residual beyond that of noise, 0 where it is not `FAR` above that, (n,) [Nm]."""
-    left, noisy = _rms(bench, fitted.residual), filtered_noise(bench, fitted.model)
-    return np.where(left > FAR * noisy, np.sqrt(np.maximum(left**2 - noisy**2, 0)), 0.0)
+def unexplained(left: np.ndarray, noisy: np.ndarray) -> np.ndarray:
+    """Rms of what `left_over` has of each joint's torque beyond noise, 0 where it is not `FAR` above that, (n,) [Nm]."""
+    return np.where(left > FAR, np.sqrt(np.maximum(left**2 - 1, 0)), 0.0) * noisy
 
 
 def filtered_noise(bench: Data, model: CalibratedModel) -> np.ndarray:

@@ -26,7 +26,7 @@ from rrr_oc.diagnosis.findings import found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import errors_of, joints_made_worse, nrmse, repeated
 from rrr_oc.diagnosis.knobs import CLAIM, FAR, MATTERS
-from rrr_oc.diagnosis.mismatch import above_noise, idle, mismatch, unexplained, wander_of
+from rrr_oc.diagnosis.mismatch import filtered_noise, idle, left_over, mismatch, unexplained
 from rrr_oc.diagnosis.result import Diagnosis, Event, Finding, Fold, Possible, Suggestion
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.stages import SHARES, Stages
@@ -90,7 +90,8 @@ def _made(priors: Priors, stages: Stages) -> Diagnosis:
     folds = folds if findings else [replace(f, model=f.plain, after=f.before) for f in folds]
     before, after = map(mean_nrmse, errors_of(folds, fitter.data.n))
     calibration = [mean_nrmse(nrmse(fitter.data, one)) for one in (plain, model)]
-    left, suggestions = above_noise(fitter.data, closest), list[Suggestion]()
+    noisy, suggestions = filtered_noise(fitter.data, closest.model), list[Suggestion]()
+    left, slow = left_over(fitter.data, closest, noisy)
     others = alternatives(fitter, as_good, model, closest, failed)
     with noted(failed, "suggested recordings"):
         contested = [*findings, *(u.contested for u in undecided)]
@@ -98,7 +99,7 @@ def _made(priors: Priors, stages: Stages) -> Diagnosis:
     return Diagnosis(
         recordings=recordings,
         plain=plain,
-        model=replace(model, alternatives=decided(others, suggestions), unexplained=unexplained(fitter.data, closest)),
+        model=replace(model, alternatives=decided(others, suggestions), unexplained=unexplained(left, noisy)),
         findings=tuple(f for f in findings if f.matters),
         undecided=tuple(undecided),
         links=tuple(links),
@@ -112,7 +113,7 @@ def _made(priors: Priors, stages: Stages) -> Diagnosis:
         suggestions=tuple(suggestions),
         folds=tuple(folds),
         above_noise=tuple(left.tolist()),
-        wander=wander_of(fitter.data, closest),
+        wander=tuple(slow.tolist()),
         idle=idle(fitter.data, final.model),
         priors=priors.file,
         failed=failed,

@@ -137,6 +137,10 @@ class Delay(Effect):
         """By how much what is recorded lags what is true [s]."""
         raise NotImplementedError
 
+    def wait(self, theta: Mapping[str, float]) -> float:
+        """By how much later than it is recorded a command acts [s]."""
+        return 0.0
+
     def torque(self, signals, theta, width):
         """None on any joint; the recorded torque is later."""
         return tuple(0 * signals.q[j] for j in self.joints)
@@ -147,10 +151,6 @@ class LateCommand(Delay):
 
     recorded_as = ("command",)
     held = False
-
-    def wait(self, theta: Mapping[str, float]) -> float:
-        """By how much later than it is recorded a command acts [s]."""
-        raise NotImplementedError
 
     def delay(self, theta):
         """Torques are as late as positions: 0."""

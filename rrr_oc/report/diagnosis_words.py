@@ -79,9 +79,7 @@ def wanders(found: Mapping[str, Any]) -> list[str]:
     """A sentence on joints whose error wanders; none where there are none."""
     each = listed([f"{x:.2g} Nm on {joint_words(joint)}" for joint, x in found.get("wander", {}).items()])
     said = "A part of the error changes over seconds, whatever the arm does, as the zero of a torque sensor that wanders"
-    return (
-        [f"{said}: {each} (rms). It is taken for noise; to lower it, zero the sensors before each recording."] if each else []
-    )
+    return [f"{said}: {each} (rms). It counts as noise."] if each else []
 
 
 def _times(ratio: float) -> str:

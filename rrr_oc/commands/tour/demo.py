@@ -1,4 +1,4 @@
-"""`rrr-oc demo`: the way from recordings to springs in about a minute, on an arm with hidden physics."""
+"""`rrr-oc demo`: the way from recordings to springs in a minute or two, on an arm with hidden physics."""
 
 import json
 import shlex
@@ -31,7 +31,7 @@ def demo(
     page: Annotated[bool, typer.Option("--open/--no-open", help="open the diagnosis in the browser when it is written")] = True,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose the recordings of an arm, open the truth about it, design a spring for it, and show that in motion: in about a minute.
+    """Diagnose the recordings of an arm, open the truth about it, design a spring for it, and show that in motion: in a minute or two.
 
     The arm and its recordings come with this package. Every step is a command that works as well on an arm of yours.
     """
