@@ -1,6 +1,6 @@
 """The numbers, set by hand, that decide what an estimate takes for noise, for an imperfect law or URDF, and for told apart."""
 
-# Time before a row on which its noise is taken to depend [s]; doubled, the same from twice as many numbers.
+# Time before a row on which its noise is taken to depend, and its memory where it does not wander [s]; doubled, slow laws are taken for it.
 PAST = 0.5
 # Longest time over which a joint's noise may stay alike, as of a sensor whose zero wanders [s]; shorter, laws are found in such wander.
 MEMORY = 5.0
