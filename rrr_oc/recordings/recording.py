@@ -35,6 +35,7 @@ class Recording(Motion):
         faults: What looks wrong in the file's positions and speeds, a part of a sentence each.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
+        jitter: Standard deviation of the stamps from even times, where these are used instead [s]; 0 where the stamps are.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -52,6 +53,7 @@ class Recording(Motion):
     faults: tuple[str, ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
     batch: float = 1.0
+    jitter: float = 0.0
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -123,6 +125,10 @@ class RecordingSet:
         batched = [r for r in self.recordings if r.batch > 1]
         if batched:
             notes.append(f"{_named(batched)}: samples are stamped in batches of {batched[0].batch:g}; their times are spread")
+        uneven = [r for r in self.recordings if r.jitter > 0]
+        if uneven:
+            worst = 1000 * max(r.jitter for r in uneven)
+            notes.append(f"{_named(uneven)}: stamps jitter by {worst:.2g} ms about even times, at which positions are smoother; these are used")
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():

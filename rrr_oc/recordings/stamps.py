@@ -1,10 +1,16 @@
-"""Time stamps of samples that a driver hands over several at once."""
+"""Time stamps of samples that a driver hands over several at once, or stamps sooner or later than they were taken."""
+
+from collections.abc import Sequence
 
 import numpy as np
+
+from rrr_oc.numerics.savitzky_golay import local_polynomial
 
 TOGETHER = 0.1  # of the mean step, below which two samples were handed over at once; doubled, jitter counts as that
 BATCHED = 0.3  # share of such steps from which samples came in batches; doubled, batches of two are no batches
 LEAST = 8  # samples, and batches, from which these are told
+SMOOTHER = 0.95  # residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
+CUBIC = 9  # samples of a window of that residual; doubled, fast motion hides the jitter
 PAUSE = 1.6  # times the usual time of a sample, above which samples are missing before a batch; doubled, gaps are filled
 
 
@@ -35,3 +41,40 @@ def spread(t: np.ndarray) -> tuple[np.ndarray, float]:
     each = np.append(usual, np.where(each > PAUSE * usual, usual, each))
     to_end = np.repeat(ends, counts) - np.arange(len(t))
     return np.repeat(arrivals, counts) - to_end * np.repeat(each, counts), size
+
+
+def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.ndarray, float]:
+    """Times t (K,) [s] without the jitter of the stamps, and its standard deviation [s]; 0 where the stamps stay.
+
+    A clock takes samples at even times; a busy computer stamps them when it gets to them. Samples may be lost. Where the positions
+    q (n, K) [rad] are smoother at even times than at the stamps, the former are used; where sampling itself is uneven, and the stamps are
+    right, they are not.
+    """
+    times = np.array(t)
+    for s in segments:
+        if s.stop - s.start >= 2 * CUBIC:
+            times[s] = _grid(t[s])
+    off = np.concatenate([(t - times)[s] for s in segments])
+    long = [s for s in segments if s.stop - s.start >= 2 * CUBIC and np.all(np.diff(times[s]) > 0)]
+    if not off.any() or len(long) < sum(s.stop - s.start >= 2 * CUBIC for s in segments):
+        return t, 0.0
+    with np.errstate(all="ignore"):
+        left = [np.concatenate([q[:, s] - local_polynomial(x[s], q[:, s], 0, 3, CUBIC) for s in long], axis=1) for x in (times, t)]
+        ratio = [np.sqrt(np.mean(np.square(x), axis=1)) for x in left]
+    moves = ratio[1] > 0
+    if not moves.any() or not float(np.exp(np.mean(np.log(ratio[0][moves] / ratio[1][moves])))) < SMOOTHER:
+        return t, 0.0
+    return times, float(np.std(off))
+
+
+def _grid(t: np.ndarray) -> np.ndarray:
+    """Even times nearest to stamps t (K,) [s], of which some may be lost; the stamps where two would share one."""
+    step = float(np.median(np.diff(t)))
+    number = np.cumsum(np.append(0, np.maximum(1, np.round(np.diff(t) / step))))
+    for _ in range(5):
+        line = np.polynomial.Polynomial.fit(number, t, 1)
+        nearest = np.round((t - line(0)) / (line(1) - line(0)))
+        if np.array_equal(nearest, number) or np.any(np.diff(nearest) < 1):
+            break
+        number = nearest
+    return line(number) if np.max(np.abs(t - line(number))) < step else t
