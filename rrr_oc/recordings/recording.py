@@ -119,7 +119,7 @@ class RecordingSet:
             nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)
             rows = sum(len(r.t) for r in incomplete) + nan + short
             notes.append(
-                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short "
+                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN or of unknown time, {short} in pieces too short "
                 "for a derivative)"
             )
         batched = [r for r in self.recordings if r.batch > 1]

@@ -11,6 +11,7 @@ BATCHED = 0.3  # share of such steps from which samples came in batches; doubled
 LEAST = 8  # samples, and batches, from which these are told
 SMOOTHER = 0.95  # residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
 CUBIC = 9  # samples of a window of that residual; doubled, fast motion hides the jitter
+ROUNDED = 1e-3  # of the usual step: smaller deviations from even times come from rounding; doubled, jitter of a few µs stays
 PAUSE = 1.6  # times the usual time of a sample, above which samples are missing before a batch; doubled, gaps are filled
 
 
@@ -18,8 +19,8 @@ def spread(t: np.ndarray) -> tuple[np.ndarray, float]:
     """Stamps t (K,) [s], not decreasing, as the samples were taken, and how many samples a batch has; 1 where they came one by one.
 
     A batch is stamped when it is handed over, with its last sample. Where samples at even distances fit all stamps within a sample or
-    two, they have these. Else some are missing, and those of a batch are spread evenly over the time since the batch before; after a pause they
-    have the usual distance.
+    two, they have these; of a batch from which samples were lost only the last one's time is known, and the others' are NaN. Else the
+    samples of a batch are spread evenly over the time since the batch before; after a pause they have the usual distance.
     """
     with np.errstate(all="ignore"):  # absurd times are refused elsewhere
         steps = np.diff(t)
@@ -35,11 +36,14 @@ def spread(t: np.ndarray) -> tuple[np.ndarray, float]:
     counts, arrivals = np.diff(ends, prepend=-1), t[ends]
     each, size = np.diff(arrivals) / counts[1:], float(np.median(counts))
     usual, whole = float(np.median(each)), slice(1, -1)  # the first and the last batch may not be whole
-    line = np.polynomial.Polynomial.fit(ends[whole], arrivals[whole], 1)
-    if np.max(np.abs(arrivals - line(ends))[whole]) < PAUSE * usual:
-        return line(np.arange(len(t))), size
-    each = np.append(usual, np.where(each > PAUSE * usual, usual, each))
     to_end = np.repeat(ends, counts) - np.arange(len(t))
+    places = np.append(counts[0], np.maximum(counts[1:], np.round(np.diff(arrivals) / usual)))
+    number = np.cumsum(places)  # of a batch's last sample, with those that were lost
+    line = np.polynomial.Polynomial.fit(number[whole], arrivals[whole], 1)
+    if np.max(np.abs(arrivals - line(number))[whole]) < PAUSE * usual:
+        unknown = (to_end > 0) & np.repeat(places > counts, counts)
+        return np.where(unknown, np.nan, line(np.repeat(number, counts) - to_end)), size
+    each = np.append(usual, np.where(each > PAUSE * usual, usual, each))
     return np.repeat(arrivals, counts) - to_end * np.repeat(each, counts), size
 
 
@@ -56,7 +60,7 @@ def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.nd
             times[s] = _grid(t[s])
     off = np.concatenate([(t - times)[s] for s in segments])
     long = [s for s in segments if s.stop - s.start >= 2 * CUBIC and np.all(np.diff(times[s]) > 0)]
-    if not off.any() or len(long) < sum(s.stop - s.start >= 2 * CUBIC for s in segments):
+    if np.std(off) < ROUNDED * np.median(np.diff(t)) or len(long) < sum(s.stop - s.start >= 2 * CUBIC for s in segments):
         return t, 0.0
     with np.errstate(all="ignore"):
         left = [np.concatenate([q[:, s] - local_polynomial(x[s], q[:, s], 0, 3, CUBIC) for s in long], axis=1) for x in (times, t)]
