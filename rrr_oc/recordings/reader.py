@@ -16,7 +16,7 @@ from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Header, Recording
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
-from rrr_oc.recordings.stamps import even, spread
+from rrr_oc.recordings.stamps import between_updates, even, spread
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 from rrr_oc.storage import resolved
@@ -88,6 +88,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
         turned = _unwrap(columns, robot.joints, segments)
+        updates = [_fill_updates(columns, f"q_{joint}", segments) for joint in robot.joints]
         columns["t"], jitter = even(columns["t"], np.array([columns[f"q_{joint}"] for joint in robot.joints]), segments)
         _couple(columns, robot.joints, recorded, header)
         loop = header.loop(entry)
@@ -105,7 +106,8 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch, jitter=jitter,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
+            jitter=jitter, update=max(updates),
             command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
@@ -196,6 +198,14 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     for name in turned:
         columns[name] = np.unwrap(columns[name])
     return tuple(turned)
+
+
+def _fill_updates(columns: dict[str, np.ndarray], name: str, segments: Sequence[slice]) -> float:
+    """Put what a position is between its updates into the place of repeated values; returns the time between updates [s], 0 for none."""
+    filled = [between_updates(columns["t"][s], columns[name][s]) for s in segments]
+    if any(usual for _, usual in filled):
+        columns[name] = np.concatenate([q for q, _ in filled])
+    return max(usual for _, usual in filled)
 
 
 def _couple(columns: dict[str, np.ndarray], joints: Sequence[str], recorded: Sequence[str], header: Header) -> None:

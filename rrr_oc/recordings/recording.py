@@ -36,6 +36,7 @@ class Recording(Motion):
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
         jitter: Standard deviation of the stamps from even times, where these are used instead [s]; 0 where the stamps are.
+        update: Time between updates of positions that the file repeats until the next one [s]; 0 where every row has its own.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -54,6 +55,7 @@ class Recording(Motion):
     rates: tuple[plausibility.Rate, ...] = ()
     batch: float = 1.0
     jitter: float = 0.0
+    update: float = 0.0
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -119,8 +121,8 @@ class RecordingSet:
             nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)
             rows = sum(len(r.t) for r in incomplete) + nan + short
             notes.append(
-                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN or of unknown time, {short} in pieces too short "
-                "for a derivative)"
+                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN or of unknown time, "
+                f"{short} in pieces too short for a derivative)"
             )
         batched = [r for r in self.recordings if r.batch > 1]
         if batched:
@@ -128,7 +130,15 @@ class RecordingSet:
         uneven = [r for r in self.recordings if r.jitter > 0]
         if uneven:
             worst = 1000 * max(r.jitter for r in uneven)
-            notes.append(f"{_named(uneven)}: stamps jitter by {worst:.2g} ms about even times, at which positions are smoother; these are used")
+            notes.append(
+                f"{_named(uneven)}: stamps jitter by {worst:.2g} ms about even times, at which positions are smoother; these are used"
+            )
+        repeated = [r for r in self.recordings if r.update > 0]
+        if repeated:
+            every = 1000 * max(r.update for r in repeated)
+            notes.append(
+                f"{_named(repeated)}: positions are updated every {every:.3g} ms and repeated until then; a spline through the updates is used"
+            )
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():
@@ -200,7 +210,7 @@ class RecordingSet:
                 size, share = max((found for _, found in cut), key=lambda found: found[1])
                 where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
                 doubts.append(
-                    f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger; a NaN there leaves rows out"
+                    f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger there; these rows of the joint do not count"
                 )
         for later, earlier, share in faults.repeated([np.concatenate([r.q, r.tau]) for r in self.recordings]):
             names = self.recordings[later].file, self.recordings[earlier].file

@@ -1,16 +1,21 @@
-"""Time stamps of samples that a driver hands over several at once, or stamps sooner or later than they were taken."""
+"""Times of samples that a driver hands over several at once, stamps sooner or later than they were taken, or repeats until the next."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from rrr_oc.numerics.savitzky_golay import local_polynomial
 
 TOGETHER = 0.1  # of the mean step, below which two samples were handed over at once; doubled, jitter counts as that
 BATCHED = 0.3  # share of such steps from which samples came in batches; doubled, batches of two are no batches
 LEAST = 8  # samples, and batches, from which these are told
-SMOOTHER = 0.95  # residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
+SMOOTHER = (
+    0.95  # residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
+)
 CUBIC = 9  # samples of a window of that residual; doubled, fast motion hides the jitter
+JUMP = 3.0  # resolutions by which a position jumps that is fast: such steps follow each other row by row; doubled, fewer count
+REPEATED = 1.15  # rows between fast changes, on average, from which positions are repeated; doubled, half the rows may be
 ROUNDED = 1e-3  # of the usual step: smaller deviations from even times come from rounding; doubled, jitter of a few µs stays
 PAUSE = 1.6  # times the usual time of a sample, above which samples are missing before a batch; doubled, gaps are filled
 
@@ -57,13 +62,15 @@ def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.nd
     times = np.array(t)
     for s in segments:
         if s.stop - s.start >= 2 * CUBIC:
-            times[s] = _grid(t[s])
+            times[s] = _grid(t[s], float(np.median(np.diff(t[s]))))
     off = np.concatenate([(t - times)[s] for s in segments])
     long = [s for s in segments if s.stop - s.start >= 2 * CUBIC and np.all(np.diff(times[s]) > 0)]
     if np.std(off) < ROUNDED * np.median(np.diff(t)) or len(long) < sum(s.stop - s.start >= 2 * CUBIC for s in segments):
         return t, 0.0
     with np.errstate(all="ignore"):
-        left = [np.concatenate([q[:, s] - local_polynomial(x[s], q[:, s], 0, 3, CUBIC) for s in long], axis=1) for x in (times, t)]
+        left = [
+            np.concatenate([q[:, s] - local_polynomial(x[s], q[:, s], 0, 3, CUBIC) for s in long], axis=1) for x in (times, t)
+        ]
         ratio = [np.sqrt(np.mean(np.square(x), axis=1)) for x in left]
     moves = ratio[1] > 0
     if not moves.any() or not float(np.exp(np.mean(np.log(ratio[0][moves] / ratio[1][moves])))) < SMOOTHER:
@@ -71,9 +78,8 @@ def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.nd
     return times, float(np.std(off))
 
 
-def _grid(t: np.ndarray) -> np.ndarray:
-    """Even times nearest to stamps t (K,) [s], of which some may be lost; the stamps where two would share one."""
-    step = float(np.median(np.diff(t)))
+def _grid(t: np.ndarray, step: float) -> np.ndarray:
+    """Even times, about `step` [s] apart, nearest to stamps t (K,) [s], of which some may be lost; the stamps where there are none."""
     number = np.cumsum(np.append(0, np.maximum(1, np.round(np.diff(t) / step))))
     for _ in range(5):
         line = np.polynomial.Polynomial.fit(number, t, 1)
@@ -82,3 +88,29 @@ def _grid(t: np.ndarray) -> np.ndarray:
             break
         number = nearest
     return line(number) if np.max(np.abs(t - line(number))) < step else t
+
+
+def between_updates(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
+    """A position q (K,) [rad] at times t (K,) [s] between its updates, and the time between these [s]; 0 where every row is one.
+
+    A logger that is faster than the encoder repeats a position until the next one comes, so the position jumps. A fast one then does not
+    change from each row to the next. Its updates come at even times, and a spline through them has no jumps; that it is late by a
+    constant time stays.
+    """
+    steps = np.abs(np.diff(q))
+    changes = np.flatnonzero(steps > 0) + 1
+    if len(changes) < 2 * CUBIC:
+        return q, 0.0
+    fast = steps[changes[1:] - 1] > JUMP * np.min(steps[steps > 0])
+    if np.sum(fast) < 2 * CUBIC or np.mean(np.diff(changes)[fast]) < REPEATED:
+        return q, 0.0
+    usual = float(np.mean(np.diff(t[changes])[fast]))
+    times = _grid(t[changes], usual)
+    usual = float(np.median(np.diff(times)[fast]))
+    at, values = [t[0] - usual], [q[0]]
+    for begin, end, value in zip(times, np.append(times[1:], t[-1] + usual), q[changes], strict=True):
+        some = np.arange(begin, end - usual / 2, usual)  # a position that stands is updated by the same value
+        at += some.tolist()
+        values += [value] * len(some)
+    at, kept = np.unique(at, return_index=True)
+    return CubicSpline(at, np.array(values)[kept])(t), usual

@@ -143,3 +143,50 @@ def test_stamps_that_jitter_are_evened(load):
     found = load(a=uneven)
     np.testing.assert_array_equal(found.recordings[0].t, uneven["t"])
     assert found.notes == ()
+
+
+def test_positions_that_are_repeated_until_the_next_update_have_none_of_the_steps(load):
+    """Updates at 60 Hz in rows at 100 Hz, of an encoder of 16 bit; rows in which each position is new are not touched."""
+    right = without(("dq", "ddq"), columns())
+    t, step = right["t"], 2 * np.pi / 2**16
+    updated = np.floor(60 * t + 1e-9) / 60
+    spoilt, exact = dict(right), dict(right)
+    for joint in JOINTS:
+        exact[f"q_{joint}"] = np.round(right[f"q_{joint}"] / step) * step
+        spoilt[f"q_{joint}"] = np.round(CubicSpline(t, right[f"q_{joint}"])(updated) / step) * step
+    found = load(a=spoilt)
+    assert found.notes == (
+        "a.csv: positions are updated every 16.7 ms and repeated until then; a spline through the updates is used",
+    )
+    late = (t[:, None] - np.linspace(0, 0.01, 21)).T  # by how much is not known
+    for joint, q in zip(JOINTS, found.recordings[0].q, strict=True):
+        inside = slice(10, -10)
+        true = CubicSpline(t, right[f"q_{joint}"])
+        assert (
+            min(np.max(np.abs(true(x) - q)[inside]) for x in late)
+            < 1.5e-3
+            < np.max(np.abs(right[f"q_{joint}"] - spoilt[f"q_{joint}"]))
+        )
+    assert load(a=exact).notes == ()
+
+
+@pytest.mark.parametrize("fault", ["cut off", "jitter", "repeated"])
+def test_faults_of_loggers_leave_the_calibration_as_it_is(load, fault):
+    """Viscous friction and rotors are those of the plant."""
+    right = without(("dq", "ddq"), columns(20.0))
+    t, spoilt = right["t"], dict(right)
+    if fault == "cut off":
+        limit = 0.7 * np.max(np.abs(right["tau_joint2"]))
+        spoilt["tau_joint2"] = np.clip(right["tau_joint2"], -limit, limit)
+    elif fault == "jitter":
+        spoilt["t"] = t + np.random.default_rng(2).uniform(0, 0.005, len(t))
+    else:
+        updated = np.floor(60 * t + 1e-9) / 60
+        spoilt |= {f"q_{joint}": CubicSpline(t, right[f"q_{joint}"])(updated) for joint in JOINTS}
+    model = calibrate(load(a=spoilt))
+    rotors, friction = (
+        [e.value for term in model.terms if term.effect.name == name for e in term.estimates]
+        for name in ("armature", "viscous_friction")
+    )
+    np.testing.assert_allclose(friction, PLANT.viscous, rtol=0.06)
+    np.testing.assert_allclose(rotors, PLANT.armature, atol=0.03)
