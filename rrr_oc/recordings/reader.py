@@ -80,6 +80,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = np.array(table.columns(used))
     values[used.index("t")], batch = spread(values[used.index("t")])
+    spiked = _drop_spikes(used, values, robot.joints)
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
         columns = dict(zip(used, values[:, rows], strict=True))
@@ -107,7 +108,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
-            jitter=jitter, update=max(updates),
+            jitter=jitter, update=max(updates), spiked=spiked,
             command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
@@ -185,6 +186,19 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
             i = int(np.argmax(payload))
             raise _wrong_cell(table, int(rows[i]), "payload", f"{payload[i]:g}", f"up to {HEAVIEST:g} kg are allowed")
     return rows
+
+
+def _drop_spikes(used: Sequence[str], values: np.ndarray, joints: Sequence[str]) -> tuple[tuple[str, int], ...]:
+    """Put NaN into the place of positions that jump away and back; returns these columns and in how many rows."""
+    spiked = []
+    for name in (f"q_{joint}" for joint in joints):
+        if values.shape[1] < LEAST_ROWS or not np.isfinite(values[used.index(name)]).all():
+            continue
+        found = faults.spikes(values[used.index(name)])
+        if found.any():
+            values[used.index(name), found] = np.nan
+            spiked.append((name, int(found.sum())))
+    return tuple(spiked)
 
 
 def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:

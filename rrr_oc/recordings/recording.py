@@ -37,6 +37,7 @@ class Recording(Motion):
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
         jitter: Standard deviation of the stamps from even times, where these are used instead [s]; 0 where the stamps are.
         update: Time between updates of positions that the file repeats until the next one [s]; 0 where every row has its own.
+        spiked: Columns of positions that jump away and back, and in how many rows, which are left out.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -56,6 +57,7 @@ class Recording(Motion):
     batch: float = 1.0
     jitter: float = 0.0
     update: float = 0.0
+    spiked: tuple[tuple[str, int], ...] = ()
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -133,6 +135,8 @@ class RecordingSet:
             notes.append(
                 f"{_named(uneven)}: stamps jitter by {worst:.2g} ms about even times, at which positions are smoother; these are used"
             )
+        for r in self.recordings:
+            notes += [f"{r.file}: {name} jumps away and back in {count} rows, which are left out" for name, count in r.spiked]
         repeated = [r for r in self.recordings if r.update > 0]
         if repeated:
             every = 1000 * max(r.update for r in repeated)

@@ -170,6 +170,21 @@ def test_positions_that_are_repeated_until_the_next_update_have_none_of_the_step
     assert load(a=exact).notes == ()
 
 
+def test_positions_that_jump_away_and_back_are_left_out(load):
+    """Bits read wrongly, also two samples in a row; and no fast motion, coarse encoder or whole turn is taken for one."""
+    right = without(("dq", "ddq"), columns())
+    spoilt = right["q_joint2"].copy()
+    spoilt[[100, 500, 501, 900]] += np.array([0.2, -0.3, -0.3, 1.0])
+    found = load(a=right | {"q_joint2": spoilt})
+    assert "a.csv: q_joint2 jumps away and back in 4 rows, which are left out" in found.notes
+    np.testing.assert_allclose(found.recordings[0].q[1], np.delete(right["q_joint2"], [100, 500, 501, 900]), atol=1e-9)
+    for step in (1e-6, 2e-3, 2e-2):
+        coarse = right | {f"q_{joint}": np.round(right[f"q_{joint}"] / step) * step for joint in JOINTS}
+        assert not load(a=coarse).recordings[0].spiked
+    turned = right | {"q_joint2": np.where(right["t"] > 5, right["q_joint2"] + 2 * np.pi, right["q_joint2"])}
+    assert not load(a=turned).recordings[0].spiked
+
+
 @pytest.mark.parametrize("fault", ["cut off", "jitter", "repeated"])
 def test_faults_of_loggers_leave_the_calibration_as_it_is(load, fault):
     """Viscous friction and rotors are those of the plant."""
