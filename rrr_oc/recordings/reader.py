@@ -12,6 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import faults, plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
+from rrr_oc.recordings.gains import with_gains
 from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Header, RecordingEntry, Spring, read_header
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -49,7 +50,8 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     )
     loaded = _of_session(loaded)
     plausibility.check_alike({str(folder / r.file): float(np.median(np.diff(r.t))) for r in loaded})
-    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+    recordings = RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+    return with_gains(file, recordings)
 
 
 def _of_session(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
@@ -103,7 +105,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         tau = signal = np.array([columns[name] for name in recorded])
         if loop is not None:
             plausibility.check_commands(str(path), robot, signal, q)
-            tau = loop.torque(signal, q, dq)
+            tau = loop.torque(signal, q, dq)  # NaN without a kp
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
@@ -342,5 +344,5 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
     if recording.loop is None:
         plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
     else:
-        plausibility.check_loop(where, robot, r.tau)
-    plausibility.check_changes(where, r.q, r.tau)
+        plausibility.check_loop(where, robot, np.nan_to_num(r.tau))
+    plausibility.check_changes(where, r.q, np.where(np.isnan(r.tau), r.q, r.tau))

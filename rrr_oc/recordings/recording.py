@@ -1,8 +1,8 @@
 """Recordings of a robot's motion and torques, as data."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings import faults, plausibility
-from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Spring, Torque
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Loop, Spring, Torque
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
 BEYOND = 0.01  # share of rows in which a loop's torque beyond the joint's limit is said; doubled, more of them pass unsaid
@@ -87,6 +86,7 @@ class RecordingSet:
         torque_constant: Per joint [Nm/A at the output]; None where it is not given.
         recordings: The recordings, in the order of the file.
         path: The folder.
+        estimated_kp: Of a loop, by joint, where it is not known [Nm/rad]; it is in the recordings.
     """
 
     robot: Robot
@@ -97,6 +97,7 @@ class RecordingSet:
     torque_constant: tuple[float | None, ...]
     recordings: tuple[Recording, ...]
     path: Path
+    estimated_kp: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -150,6 +151,11 @@ class RecordingSet:
                 name.startswith("q_") for name in names
             )
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
+        if self.estimated_kp:
+            gains = ", ".join(f"{kp:.3g} Nm/rad for {joint}" for joint, kp in self.estimated_kp.items())
+            notes.append(
+                f"kp is not known: {gains}, by the masses of the robot's file, with which all torques grow in proportion"
+            )
         notes += [*self._of_rates(), *self._doubts()]
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if default and any(np.any(r.payload > 0) for r in self.recordings):
