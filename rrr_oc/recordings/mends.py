@@ -356,17 +356,22 @@ def _axes(compared: Comparison) -> Iterator[Hypothesis]:
 
 
 def _gravity(compared: Comparison) -> Iterator[Hypothesis]:
-    """Gravity along another axis of the base, as of an arm on a wall or a ceiling."""
+    """Gravity along another axis of the base, as of an arm on a wall or a ceiling; or none, as where a controller adds the arm's weight."""
     robot = compared.samples.recordings.robot
     size = float(np.linalg.norm(robot.gravity))
-    for side in SIDES.values():
-        for sign in (1.0, -1.0):
-            gravity = sign * size * np.eye(3)[side]
-            if size and not np.allclose(gravity, robot.gravity, atol=0.1 * size):
-                after = compared.with_robot(gravity=gravity).nrmse(Reading.as_given(robot.n))
-                vector = ", ".join(f"{x + 0.0:.3g}" for x in gravity)
-                said = f'the torques fit with "gravity": [{vector}], as if the arm were mounted otherwise'
-                yield Hypothesis((Mistake("robot", (), said),), after)
+    vectors = [sign * size * np.eye(3)[side] for side in SIDES.values() for sign in (1.0, -1.0)]
+    others = [gravity for gravity in vectors if size and not np.allclose(gravity, robot.gravity, atol=0.1 * size)]
+    for gravity in [*others, *([np.zeros(3)] if size else [])]:
+        after = compared.with_robot(gravity=gravity).nrmse(Reading.as_given(robot.n))
+        vector = ", ".join(f"{x + 0.0:.3g}" for x in gravity)
+        why = (
+            "if the arm were mounted otherwise"
+            if gravity.any()
+            else "where a controller adds the arm's weight to the torques recorded"
+        )
+        equals = () if gravity.any() else ("springs or counterweights carry the arm's weight",)
+        mistake = Mistake("robot", (), f'the torques fit with "gravity": [{vector}], as {why}')
+        yield Hypothesis((mistake,), after, equals=equals)
 
 
 def _payload(compared: Comparison) -> Iterator[Hypothesis]:
