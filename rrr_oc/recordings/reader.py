@@ -17,12 +17,17 @@ from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Header, Recording
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
-from rrr_oc.recordings.stamps import between_updates, even, spread
+from rrr_oc.recordings.stamps import at_every_row, between_updates, even, spread
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 from rrr_oc.storage import resolved
 
 RATES = ("dq_", "ddq_")
+SHARED = 0.5  # share of rows with all signals below which these are sampled at times of their own; doubled, rows marked as wrong are filled
+JUMP, LEAST_JUMP = (
+    10.0,
+    0.02,
+)  # times its fastest steps, and [rad], by which a position jumps; doubled, small jumps pass for motion
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -81,18 +86,19 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
     recorded = tuple(f"{EFFORTS.get(header.torque, 'tau')}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = np.array(table.columns(used))
-    values[used.index("t")], batch = spread(values[used.index("t")])
-    spiked = _drop_spikes(used, values, robot.joints)
+    mended = dict[str, str]()
+    batch = _settle_times(used, values, mended)
+    _drop_spikes(used, values, robot.joints, mended)
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
         columns = dict(zip(used, values[:, rows], strict=True))
         plausibility.check_time(str(path), columns["t"])
         columns.setdefault("payload", np.full(len(rows), entry.payload))
         plausibility.check_magnitudes(str(path), columns)
-        segments = split(columns["t"])
+        segments = _split(columns, robot.joints, mended)
         turned = _unwrap(columns, robot.joints, segments)
-        updates = [_fill_updates(columns, f"q_{joint}", segments) for joint in robot.joints]
-        columns["t"], jitter = even(columns["t"], np.array([columns[f"q_{joint}"] for joint in robot.joints]), segments)
+        _fill_updates(columns, robot.joints, segments, mended)
+        _even(columns, robot.joints, segments, mended)
         _couple(columns, robot.joints, recorded, header)
         loop = header.loop(entry)
         if loop is not None:
@@ -110,8 +116,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
-            jitter=jitter, update=max(updates), spiked=spiked,
-            command=None if loop is None else signal, loop=loop,
+            mended=mended, command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -190,17 +195,60 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
     return rows
 
 
-def _drop_spikes(used: Sequence[str], values: np.ndarray, joints: Sequence[str]) -> tuple[tuple[str, int], ...]:
-    """Put NaN into the place of positions that jump away and back; returns these columns and in how many rows."""
-    spiked = []
+def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str]) -> float:
+    """Give every row a time of its own, and every row the signals that are sampled at other times; returns the samples of a batch.
+
+    Rows that stand there again, with all they hold, have none.
+    """
+    t = values[used.index("t")]
+    if not len(t):
+        return 1.0
+    same = (values[:, 1:] == values[:, :-1]) | (np.isnan(values[:, 1:]) & np.isnan(values[:, :-1]))
+    again = np.append(False, same.all(axis=0))
+    if again.any() and np.array_equal(again[1:], np.diff(t) == 0):
+        t[again] = np.nan
+        mended["again"] = f"{np.sum(again)} rows stand there again and are left out"
+    known = np.isfinite(t)
+    t[known], batch = spread(t[known])
+    needed = [i for i, name in enumerate(used) if not name.startswith(RATES) and name != "t"]
+    filled = []
+    if np.mean(np.isfinite(values[needed]).all(axis=0)[known]) < SHARED:
+        for i in needed:
+            given = values[i].copy()
+            values[i] = at_every_row(t, given, used[i].startswith("q_"))
+            filled += [used[i]] * (not np.array_equal(given, values[i], equal_nan=True))
+    if filled:
+        mended["rates"] = f"{', '.join(filled)} are sampled at times of their own, and taken between these at those of all rows"
+    return batch
+
+
+def _split(columns: Mapping[str, np.ndarray], joints: Sequence[str], mended: dict[str, str]) -> tuple[slice, ...]:
+    """Segments between gaps in time, and between jumps of a position that no motion makes, other than by whole turns."""
+    pieces, jumps = list[slice](), list[int]()
+    for s in split(columns["t"]):
+        steps = np.abs(np.diff(np.unwrap([columns[f"q_{joint}"][s] for joint in joints])))
+        beside = np.maximum(np.pad(steps, ((0, 0), (1, 0)))[:, :-1], np.pad(steps, ((0, 0), (0, 1)))[:, 1:])
+        fastest = np.quantile(steps, 0.99, axis=1, keepdims=True) if s.stop - s.start > 1 else np.inf
+        inside = (
+            np.flatnonzero(np.any(steps > np.maximum(JUMP * np.maximum(fastest, beside), LEAST_JUMP), axis=0)) + s.start + 1
+        )
+        jumps += inside.tolist()
+        pieces += [slice(a, b) for a, b in itertools.pairwise([s.start, *inside.tolist(), s.stop])]
+    if jumps:
+        mended["jumps"] = (
+            f"positions jump at {columns['t'][jumps[0]]:.4g} s, where a new piece begins; no derivative crosses it"
+        )
+    return tuple(pieces)
+
+
+def _drop_spikes(used: Sequence[str], values: np.ndarray, joints: Sequence[str], mended: dict[str, str]) -> None:
+    """Put NaN into the place of positions that jump away and back."""
     for name in (f"q_{joint}" for joint in joints):
-        if values.shape[1] < LEAST_ROWS or not np.isfinite(values[used.index(name)]).all():
-            continue
-        found = faults.spikes(values[used.index(name)])
+        q = values[used.index(name)]
+        found = faults.spikes(q) if len(q) >= LEAST_ROWS and np.isfinite(q).all() else np.zeros(len(q), bool)
         if found.any():
-            values[used.index(name), found] = np.nan
-            spiked.append((name, int(found.sum())))
-    return tuple(spiked)
+            q[found] = np.nan
+            mended[f"spikes of {name}"] = f"{name} jumps away and back in {np.sum(found)} rows, which are left out"
 
 
 def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:
@@ -216,12 +264,29 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     return tuple(turned)
 
 
-def _fill_updates(columns: dict[str, np.ndarray], name: str, segments: Sequence[slice]) -> float:
-    """Put what a position is between its updates into the place of repeated values; returns the time between updates [s], 0 for none."""
-    filled = [between_updates(columns["t"][s], columns[name][s]) for s in segments]
-    if any(usual for _, usual in filled):
-        columns[name] = np.concatenate([q for q, _ in filled])
-    return max(usual for _, usual in filled)
+def _fill_updates(
+    columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice], mended: dict[str, str]
+) -> None:
+    """Put what positions are between their updates into the place of repeated values."""
+    longest = 0.0
+    for name in (f"q_{joint}" for joint in joints):
+        filled = [between_updates(columns["t"][s], columns[name][s]) for s in segments]
+        if any(usual for _, usual in filled):
+            columns[name] = np.concatenate([q for q, _ in filled])
+            longest = max(longest, *(usual for _, usual in filled))
+    if longest:
+        mended["updates"] = (
+            f"positions are updated every {1000 * longest:.3g} ms and repeated until then; a spline through the updates is used"
+        )
+
+
+def _even(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice], mended: dict[str, str]) -> None:
+    """Take the jitter from times where positions show that it is the stamps' alone."""
+    columns["t"], jitter = even(columns["t"], np.array([columns[f"q_{joint}"] for joint in joints]), segments)
+    if jitter:
+        mended["jitter"] = (
+            f"stamps jitter by {1000 * jitter:.2g} ms about even times, at which positions are smoother; these are used"
+        )
 
 
 def _couple(columns: dict[str, np.ndarray], joints: Sequence[str], recorded: Sequence[str], header: Header) -> None:

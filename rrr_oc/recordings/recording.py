@@ -34,9 +34,7 @@ class Recording(Motion):
         faults: What looks wrong in the file's positions and speeds, a part of a sentence each.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
-        jitter: Standard deviation of the stamps from even times, where these are used instead [s]; 0 where the stamps are.
-        update: Time between updates of positions that the file repeats until the next one [s]; 0 where every row has its own.
-        spiked: Columns of positions that jump away and back, and in how many rows, which are left out.
+        mended: What the logger did to the file and the reader has undone, a part of a sentence each, by kind.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -54,9 +52,7 @@ class Recording(Motion):
     faults: tuple[str, ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
     batch: float = 1.0
-    jitter: float = 0.0
-    update: float = 0.0
-    spiked: tuple[tuple[str, int], ...] = ()
+    mended: Mapping[str, str] = field(default_factory=dict)
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -130,20 +126,9 @@ class RecordingSet:
         batched = [r for r in self.recordings if r.batch > 1]
         if batched:
             notes.append(f"{_named(batched)}: samples are stamped in batches of {batched[0].batch:g}; their times are spread")
-        uneven = [r for r in self.recordings if r.jitter > 0]
-        if uneven:
-            worst = 1000 * max(r.jitter for r in uneven)
-            notes.append(
-                f"{_named(uneven)}: stamps jitter by {worst:.2g} ms about even times, at which positions are smoother; these are used"
-            )
-        for r in self.recordings:
-            notes += [f"{r.file}: {name} jumps away and back in {count} rows, which are left out" for name, count in r.spiked]
-        repeated = [r for r in self.recordings if r.update > 0]
-        if repeated:
-            every = 1000 * max(r.update for r in repeated)
-            notes.append(
-                f"{_named(repeated)}: positions are updated every {every:.3g} ms and repeated until then; a spline through the updates is used"
-            )
+        for kind in dict.fromkeys(kind for r in self.recordings for kind in r.mended):
+            some = [r for r in self.recordings if kind in r.mended]
+            notes.append(f"{_named(some)}: {some[0].mended[kind]}")
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rrr_oc.numerics.savitzky_golay import local_polynomial
+from rrr_oc.numerics.savitzky_golay import GAP, local_polynomial
 
 TOGETHER = 0.1  # of the mean step, below which two samples were handed over at once; doubled, jitter counts as that
 BATCHED = 0.3  # share of such steps from which samples came in batches; doubled, batches of two are no batches
@@ -15,7 +15,8 @@ SMOOTHER = (
 )
 CUBIC = 9  # samples of a window of that residual; doubled, fast motion hides the jitter
 JUMP = 3.0  # resolutions by which a position jumps that is fast: such steps follow each other row by row; doubled, fewer count
-REPEATED = 1.15  # rows between fast changes, on average, from which positions are repeated; doubled, half the rows may be
+REPEATED = 0.15  # share of fast changes that follow a row without one, from which positions are repeated; doubled, a third of rows may be
+OWN_RATE = 0.9  # share of even distances between samples from which a signal has a rate of its own; at .8, marks of wrong rows are filled
 ROUNDED = 1e-3  # of the usual step: smaller deviations from even times come from rounding; doubled, jitter of a few µs stays
 PAUSE = 1.6  # times the usual time of a sample, above which samples are missing before a batch; doubled, gaps are filled
 
@@ -102,9 +103,11 @@ def between_updates(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
     if len(changes) < 2 * CUBIC:
         return q, 0.0
     fast = steps[changes[1:] - 1] > JUMP * np.min(steps[steps > 0])
-    if np.sum(fast) < 2 * CUBIC or np.mean(np.diff(changes)[fast]) < REPEATED:
+    between = np.diff(t[changes])
+    fast &= between < GAP * np.median(between)  # a stop is none
+    if np.sum(fast) < 2 * CUBIC or np.mean(np.diff(changes)[fast] > 1) < REPEATED:
         return q, 0.0
-    usual = float(np.mean(np.diff(t[changes])[fast]))
+    usual = float(np.mean(between[fast]))
     times = _grid(t[changes], usual)
     usual = float(np.median(np.diff(times)[fast]))
     at, values = [t[0] - usual], [q[0]]
@@ -114,3 +117,21 @@ def between_updates(t: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
         values += [value] * len(some)
     at, kept = np.unique(at, return_index=True)
     return CubicSpline(at, np.array(values)[kept])(t), usual
+
+
+def at_every_row(t: np.ndarray, x: np.ndarray, position: bool) -> np.ndarray:
+    """A signal x (K,) that has a rate of its own, NaN at other rows, at all rows at times t (K,) [s] between its samples.
+
+    A position follows a spline, anything else a line from sample to sample. NaN stay where the samples are not at even distances, as
+    where rows were marked as wrong, and in gaps.
+    """
+    own = np.flatnonzero(np.isfinite(x) & np.isfinite(t))
+    if len(own) < LEAST or len(own) == len(t) or np.any(np.diff(t[own]) <= 0):
+        return x
+    steps = np.diff(t[own])
+    if np.mean(steps > PAUSE * np.median(steps)) > 1 - OWN_RATE:
+        return x
+    after = np.clip(np.searchsorted(t[own], t), 1, len(own) - 1)
+    inside = (t >= t[own[0]]) & (t <= t[own[-1]]) & (steps[after - 1] < GAP * np.median(steps))
+    filled = CubicSpline(t[own], x[own])(t) if position else np.interp(t, t[own], x[own])
+    return np.where(np.isnan(x) & inside, filled, x)

@@ -180,9 +180,9 @@ def test_positions_that_jump_away_and_back_are_left_out(load):
     np.testing.assert_allclose(found.recordings[0].q[1], np.delete(right["q_joint2"], [100, 500, 501, 900]), atol=1e-9)
     for step in (1e-6, 2e-3, 2e-2):
         coarse = right | {f"q_{joint}": np.round(right[f"q_{joint}"] / step) * step for joint in JOINTS}
-        assert not load(a=coarse).recordings[0].spiked
+        assert not load(a=coarse).recordings[0].mended
     turned = right | {"q_joint2": np.where(right["t"] > 5, right["q_joint2"] + 2 * np.pi, right["q_joint2"])}
-    assert not load(a=turned).recordings[0].spiked
+    assert not load(a=turned).recordings[0].mended
 
 
 @pytest.mark.parametrize("fault", ["cut off", "jitter", "repeated"])
@@ -205,3 +205,41 @@ def test_faults_of_loggers_leave_the_calibration_as_it_is(load, fault):
     )
     np.testing.assert_allclose(friction, PLANT.viscous, rtol=0.06)
     np.testing.assert_allclose(rotors, PLANT.armature, atol=0.03)
+
+
+def test_signals_of_other_rates_and_times_are_read_at_all_rows(load):
+    """Positions and torques in turn, as of messages that were merged; torques at a fifth of the rate; and rows marked as wrong stay out."""
+    right = without(("dq", "ddq"), columns())
+    number = np.arange(len(right["t"]))
+    torque = {name for name in right if name.startswith("tau_")}
+    for kept in (number % 2, number % 5 == 0):
+        spoilt = {name: np.where(kept == (name in torque), x, np.nan) if name != "t" else x for name, x in right.items()}
+        spoilt = {name: right[name] if name[:2] == "q_" and kept.dtype == bool else x for name, x in spoilt.items()}
+        found = load(a=spoilt)
+        (r,) = found.recordings
+        assert any("are sampled at times of their own" in note for note in found.notes)
+        assert len(r.t) > len(number) - 10
+        at = np.searchsorted(right["t"], r.t)
+        np.testing.assert_allclose(r.q, [right[f"q_{joint}"][at] for joint in JOINTS], atol=1e-5)
+    wrong = {
+        name: np.where((number > 200) & (number < 900), np.nan, x) if name == "tau_joint2" else x for name, x in right.items()
+    }
+    assert load(a=wrong).recordings[0].dropped == 699
+
+
+def test_rows_that_stand_there_again_are_left_out(load):
+    found = load(a={name: np.repeat(x, 2) for name, x in without(("dq", "ddq"), columns()).items()})
+    assert "a.csv: 1200 rows stand there again and are left out" in found.notes
+    assert len(found.recordings[0].t) == 1200
+
+
+def test_no_derivative_crosses_a_jump_or_takes_a_stop_for_repeated_positions(load):
+    """A logger that has zeros at first, and a motion that stops for 4 s."""
+    right = without(("dq", "ddq"), columns())
+    t = right["t"]
+    found = load(a={name: x if name == "t" else np.where(t < 0.2, 0.0, x) for name, x in right.items()})
+    assert found.recordings[0].segments == (slice(0, 20), slice(20, 1200))
+    assert "a.csv: positions jump at 0.2 s, where a new piece begins; no derivative crosses it" in found.notes
+    stopped = np.interp(t, [0, 4, 8, 12], [0, 4, 4, 8])
+    still = {name: x if name == "t" else CubicSpline(t, x)(stopped) for name, x in right.items()}
+    assert not load(a=still).recordings[0].mended
