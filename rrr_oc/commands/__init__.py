@@ -27,7 +27,7 @@ COMMANDS = {
     "evaluate": ("evaluate", "How well a model predicts recordings, from the measured motion or in simulation."),
     "simulate": ("simulate", "A model in MuJoCo tracks recordings; what it does is written and compared."),
     "excite": ("excite", "A motion to record, which determines friction and inertia of an arm within its limits."),
-    "export": ("export", "A model for other programs: MJCF for plain MuJoCo, and URDF with identified inertias."),
+    "export": ("models.export", "A model for other programs: MJCF for plain MuJoCo, and URDF with identified inertias."),
     "animate": ("moving.animate", "A design or a recording as a moving picture."),
     "view": ("moving.view", "A task, a design or recordings in the browser, beside the model's simulation."),
     "effects": ("effects", "The catalogue of effects: laws, parameters and units."),

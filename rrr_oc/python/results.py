@@ -307,12 +307,18 @@ class Export(Result):
         return self.content.get("urdf")
 
     @property
+    def samples(self) -> list[str]:
+        """Paths of the MJCF of drawn arms; beside each lies its model, with the ending .json."""
+        return self.content.get("samples", [])
+
+    @property
     def said(self) -> str:
         left = self.content["not_in_mjcf"]
         return listed([f for f in (self.mjcf, self.urdf) if f]) + f"; not in the MJCF: {'; '.join(left)}" * bool(left)
 
     def table(self) -> Rows:
         files = [[kind, self.content[kind]] for kind in ("mjcf", "urdf", "into") if kind in self.content]
+        files += [["drawn arm", path] for path in self.samples]
         return ["what", "file or reason"], [*files, *(["not in mjcf", reason] for reason in self.content["not_in_mjcf"])]
 
 
