@@ -28,6 +28,7 @@ COMMANDS = {
     "simulate": ("simulate", "A model in MuJoCo tracks recordings; what it does is written and compared."),
     "excite": ("excite", "A motion to record, which determines friction and inertia of an arm within its limits."),
     "export": ("models.export", "A model for other programs: MJCF for plain MuJoCo, and URDF with identified inertias."),
+    "compare": ("models.compare", "What differs between two diagnoses, models or designs by more than its error."),
     "animate": ("moving.animate", "A design or a recording as a moving picture."),
     "view": ("moving.view", "A task, a design or recordings in the browser, beside the model's simulation."),
     "effects": ("effects", "The catalogue of effects: laws, parameters and units."),

@@ -1,7 +1,7 @@
 """What the functions return: the content of the files that a command writes, as it is said at the console, as a table, and drawn.
 
-Every result has a short `repr`, an `_repr_html_` for notebooks, `to_dataframe()` and, but for exports, `plot()`. Tables have the units of
-the console, in their columns' names or in a column of their own; angles of springs and laws are in degrees.
+Every result has a short `repr`, an `_repr_html_` for notebooks, `to_dataframe()` and, but for exports and comparisons, `plot()`. Tables
+have the units of the console, in their columns' names or in a column of their own; angles of springs and laws are in degrees.
 """
 
 import html
@@ -291,6 +291,38 @@ class Simulation(Result):
         axis.set(xlabel="time [s]", ylabel="simulated angle [°]")
         axis.legend(fontsize=8)
         return Picture(figure)
+
+
+class Comparison(Result):
+    """Two diagnoses, models or designs side by side; `folder` is the second's. Its table has a row for each number that differs, or agrees."""
+
+    @property
+    def said(self) -> str:
+        return self.content["said"]
+
+    def table(self) -> Rows:
+        if self.content["kind"] == "designs":
+            return self._of_designs()
+        rows = []
+        for one in self.content["changes"]:
+            factor, unit = diagnosis_words.DEGREES.get(one["unit"], (1.0, one["unit"]))
+            numbers = [factor * one["a"], factor * one["b"], factor * (one["b"] - one["a"])]
+            joints = ", ".join(one["joints"])
+            rows.append([one["effect"], joints, one["parameter"], *numbers, unit.strip(), one["sigmas"], one["changed"]])
+        header = ["effect", "joint", "parameter", "A", "B", "B − A", "unit", "in standard errors", "changed"]
+        return header, rows
+
+    def _of_designs(self) -> Rows:
+        rows = []
+        for name, pair in self.content["configurations"].items():
+            rows += [
+                [name, self.content["cost"], self.content["unit"], *pair["cost"]],
+                [name, "duration", "s", *pair["seconds"]],
+            ]
+            for spring, both in pair["springs"].items():
+                _, factor, unit = spring_unit(spring)
+                rows.append([name, spring, unit, *(None if x is None else factor * x for x in both)])
+        return ["configuration", "quantity", "unit", "A", "B"], rows
 
 
 class Export(Result):
