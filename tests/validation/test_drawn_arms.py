@@ -46,14 +46,14 @@ def test_a_case_is_diagnosed_once_and_its_arms_enclose_the_truth(tmp_path, monke
     assert case.name in capsys.readouterr().out
     monkeypatch.setattr(drawn_arms, "diagnose", None)
     assert drawn_arms.once(folder, tmp_path / "out", 20, 0) == json.loads(json.dumps(found))
-    assert set(found["inside"]) == {"true", "recorded", "model"}
+    assert set(found["inside"]) == {"true", "recorded"}
     assert all(0.3 < x <= 1.0 for x in found["inside"]["recorded"])
     assert "mean, clean" in drawn_arms.table([found])
 
 
 @pytest.mark.parametrize("kind", ["clean", "hidden"])
 def test_the_table_has_a_row_for_each_case_and_the_means(kind):
-    row = {"case": "a", "kind": kind, "refused": 2, "inside": {"true": [0.9, 0.8], "recorded": [0.5, 0.7], "model": [1.0, 1.0]}}
+    row = {"case": "a", "kind": kind, "refused": 2, "inside": {"true": [0.9, 0.8], "recorded": [0.5, 0.7]}}
     lines = drawn_arms.table([row, row]).splitlines()
-    assert lines[2] == f"a | {kind} | 2 | 90, 80 | 50, 70 | 100, 100"
-    assert lines[4] == "mean, all |  |  | 85.0 % | 60.0 % | 100.0 %"
+    assert lines[2] == f"a | {kind} | 2 | 90, 80 | 50, 70"
+    assert lines[4] == "mean, all |  |  | 85.0 % | 60.0 %"

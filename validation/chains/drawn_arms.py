@@ -7,8 +7,7 @@ Each case is diagnosed, and arms are drawn from its model as `rrr-oc export --sa
 then predicted by each arm. Counted is, joint by joint, in which share of the rows the torque lies in the central 90 % of these:
 
 - "true": the plant's own torque at its own motion, and the drawn arms alone;
-- "recorded": the recorded torque, and the drawn arms with the noise that the model has;
-- "model": the plant's own torque, and the calibrated model with its noise, without draws.
+- "recorded": the recorded torque, and the drawn arms with the noise that the model has.
 
 Rows where a joint rests are left out, since dry friction may hold anything there, and rows of pushes, which are no part of the arm. A
 case that is done is not done again.
@@ -45,18 +44,17 @@ def measured(folder: Path, model: CalibratedModel, count: int, seed: int) -> dic
     truth = json.loads((folder / "sealed" / "truth.json").read_text())
     tests, known = load_recordings(folder / "recordings" / "test"), read_npz(folder / "sealed" / "missing.npz")
     drawn = list(samples(model, count, seed))
-    arms, middle = [one.model.placed(tests) for one in drawn], model.placed(tests)
-    shares: dict[str, list[np.ndarray]] = {"true": [], "recorded": [], "model": []}
+    arms = [one.model.placed(tests) for one in drawn]
+    shares: dict[str, list[np.ndarray]] = {"true": [], "recorded": []}
     for r in tests.recordings:
         own = {name: known[f"test/{r.file}|{name}"].astype(float) for name in ("t", "q", "v", "a", "tau")}
         rows = counted(own["t"], own["v"], truth["events"].get(f"test/{r.file}", []), truth["joints"])
         exact = Recording.planned(r.file, Motion(own["t"], own["q"], own["v"], own["a"], np.zeros(own["t"].shape)))
         torques = np.array([prompt(arm, exact) for arm in arms])
         shares["true"].append(inside(torques, 0.0, own["tau"], rows))
-        shares["model"].append(inside(prompt(middle, exact)[None], middle.noise, own["tau"], rows))
         moving = np.array([np.interp(r.t, own["t"], one.astype(float)) > 0.5 for one in rows])
         predicted = np.array([arm.predicted_torque(r) for arm in arms])
-        shares["recorded"].append(inside(predicted, middle.noise, tests.output_torque(r), moving))
+        shares["recorded"].append(inside(predicted, model.noise, tests.output_torque(r), moving))
     joints = {kind: np.nanmean(found, axis=0).tolist() for kind, found in shares.items()}
     return {"case": truth["case"], "kind": truth["kind"], "refused": sum(one.refused for one in drawn), "inside": joints}
 
@@ -87,9 +85,9 @@ def inside(torques: np.ndarray, noise: np.ndarray | float, wanted: np.ndarray, r
 
 def table(results: Sequence[dict[str, Any]]) -> str:
     """A row for each case, and the means over joints of all and of those with a joint in which nothing is hidden."""
-    kinds = ("true", "recorded", "model")
+    kinds = ("true", "recorded")
     lines = [" | ".join(("case", "kind", "refused draws", *(f"inside: {kind}" for kind in kinds)))]
-    lines.append(" | ".join(["---"] * 6))
+    lines.append(" | ".join(["---"] * 5))
     for r in results:
         cells = [", ".join(f"{100 * x:.0f}" for x in r["inside"][kind]) for kind in kinds]
         lines.append(" | ".join((r["case"], r["kind"], str(r["refused"]), *cells)))
