@@ -21,6 +21,7 @@ BLOCK = re.compile(r"^```.*?^```$", re.M | re.S)
 NESTED = re.compile(r"^  - ", re.M)  # a list within a list, which MkDocs wants four spaces in
 LANGUAGES = {".py": "python", ".json": "json", ".toml": "toml", ".cff": "yaml", ".urdf": "xml"}
 LARGEST = 60_000  # bytes of a file that is shown as a page; a larger one is copied as it is
+OVERVIEW = "overview.md"  # README, whose own name would make it the front page
 # Folders of the repository with a page that is made from their code
 MADE = {"rrr_oc/effects": "effects/index.md", "rrr_oc/python": "reference/python.md"}
 
@@ -83,7 +84,7 @@ def _outside(code: re.Pattern[str], pattern: re.Pattern[str], change: Any, text:
 def _repository(page: str, target: str) -> str:
     """The path in the repository of a link's target on a page of the site."""
     made = page.startswith("effects/") or page in MADE.values()
-    outside = page == "README.md" or not ((ROOT / "docs" / page).exists() or made)
+    outside = page == OVERVIEW or not ((ROOT / "docs" / page).exists() or made)
     return os.path.normpath(PurePosixPath("" if outside else "docs", PurePosixPath(page).parent, target))
 
 
@@ -91,6 +92,8 @@ def _site(path: str) -> str:
     """The place in the site of a file of the repository."""
     if path in MADE:
         return MADE[path]
+    if path == "README.md":
+        return OVERVIEW
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
     there = ROOT / path

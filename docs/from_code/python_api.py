@@ -17,6 +17,7 @@ from rrr_oc.python import functions, results
 RESULTS = ("Recordings", "Model", "Diagnosis", "Design", "Simulation", "Export", "Comparison", "Picture")
 FUNCTIONS = tuple(name for name in rrr_oc.__all__ if not name.startswith("_"))
 KINDS = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "path"}
+MODULES = r"(?:pathlib\._local\.|pathlib\.|rrr_oc\.python\.results\.|collections\.abc\.|typing\.)"  # which signatures name
 NOT_OPTIONS = ("out", "as_json", "help")  # out is an argument of the functions
 
 
@@ -97,8 +98,10 @@ def _member(key: str, member: Any) -> tuple[str, Any]:
 
 
 def _signature(function: Any) -> str:
-    shown = str(inspect.signature(function))
-    return re.sub(r"(?:pathlib\._local\.|pathlib\.|rrr_oc\.python\.results\.|collections\.abc\.|typing\.)", "", shown)
+    """Arguments, one a line, and what is returned."""
+    signature = inspect.signature(function)
+    lines = [f"    {re.sub(MODULES, '', str(one))},\n" for one in signature.parameters.values()]
+    return f"(\n{''.join(lines)}) -> {signature.return_annotation.__name__}"
 
 
 def _docstring(function: Any) -> tuple[str, list[tuple[str, str]], str]:
