@@ -15,7 +15,7 @@ from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
 from rrr_oc.codesign.transfer import of_all_joints, uncalibrated, unknown_joints
 from rrr_oc.commands.models.samples import samples as drawn_arms
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import check_apart, check_payload
+from rrr_oc.commands.shared import MOST, check_apart, check_payload
 from rrr_oc.effects import OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
@@ -58,7 +58,9 @@ def export(
     samples: Annotated[
         int,
         typer.Option(
-            help="further arms, drawn from what the recordings leave open of the model, to randomise a simulation", min=0
+            help="further arms, drawn from what the recordings leave open of the model, to randomise a simulation",
+            min=0,
+            max=MOST,
         ),
     ] = 0,
     seed: Annotated[int, typer.Option(help="of --samples", min=0)] = 0,
