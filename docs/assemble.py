@@ -11,7 +11,7 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-from docs.from_code import effects
+from docs.from_code import effects, python_api
 from rrr_oc.effects.words import words
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +21,9 @@ BLOCK = re.compile(r"^```.*?^```$", re.M | re.S)
 NESTED = re.compile(r"^  - ", re.M)  # a list within a list, which MkDocs wants four spaces in
 LANGUAGES = {".py": "python", ".json": "json", ".toml": "toml", ".cff": "yaml", ".urdf": "xml"}
 LARGEST = 60_000  # bytes of a file that is shown as a page; a larger one is copied as it is
-OF_EFFECTS = "rrr_oc/effects"  # the folder whose page is the catalogue
+OVERVIEW = "overview.md"  # README, whose own name would make it the front page
+# Folders of the repository with a page that is made from their code
+MADE = {"rrr_oc/effects": "effects/index.md", "rrr_oc/python": "reference/python.md"}
 
 
 def on_config(config: Any) -> Any:
@@ -40,9 +42,10 @@ def _nav_of_effects() -> list[dict[str, list[str]]]:
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the pages of effects, README, and every file of the repository that a page links to, those of Markdown with their links."""
+    """Add the pages made from code, README, and every file of the repository that a page links to, those of Markdown with their links."""
     for name, text in effects.pages().items():
         files.append(File.generated(config, f"effects/{name}", content=text))
+    files.append(File.generated(config, "reference/python.md", content=python_api.page()))
     files.append(_copy("README.md", config))
     waiting = [file for file in files if file.is_documentation_page()]
     while waiting:
@@ -80,14 +83,17 @@ def _outside(code: re.Pattern[str], pattern: re.Pattern[str], change: Any, text:
 
 def _repository(page: str, target: str) -> str:
     """The path in the repository of a link's target on a page of the site."""
-    outside = page == "README.md" or not ((ROOT / "docs" / page).exists() or page.startswith("effects/"))
+    made = page.startswith("effects/") or page in MADE.values()
+    outside = page == OVERVIEW or not ((ROOT / "docs" / page).exists() or made)
     return os.path.normpath(PurePosixPath("" if outside else "docs", PurePosixPath(page).parent, target))
 
 
 def _site(path: str) -> str:
     """The place in the site of a file of the repository."""
-    if path == OF_EFFECTS:
-        return "effects/index.md"
+    if path in MADE:
+        return MADE[path]
+    if path == "README.md":
+        return OVERVIEW
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
     there = ROOT / path

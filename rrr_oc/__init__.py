@@ -1,16 +1,16 @@
 """Optimal control and system identification of robot arms with elastic actuation.
 
-In Python: `load`, `calibrate`, `diagnose`, `design`, `simulate` and `export` (docs/python.md). They are imported when they are first
+In Python: `load`, `calibrate`, `diagnose`, `design`, `simulate`, `export` and `compare` (docs/python.md). They are imported when they are first
 used, so that `import rrr_oc` takes no time.
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rrr_oc.python import calibrate, design, diagnose, export, load, simulate
+    from rrr_oc.python import calibrate, compare, design, diagnose, export, load, simulate
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "calibrate", "design", "diagnose", "export", "load", "simulate"]
+__all__ = ["__version__", "calibrate", "compare", "design", "diagnose", "export", "load", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -493,7 +493,7 @@ LONG_ONES = (
     "rrr_oc.calibration.response.calibrate_response",
     "rrr_oc.calibration.response.calibrate_evolution",
     "rrr_oc.commands.excite.model_sensitivity",
-    "rrr_oc.commands.export.mjcf",
+    "rrr_oc.commands.models.export.mjcf",
 )
 
 

@@ -13,7 +13,17 @@ from rrr_oc.commands import load as command
 from rrr_oc.commands import run
 from rrr_oc.commands.output import progress_alone
 from rrr_oc.errors import UserError, meant
-from rrr_oc.python.results import Design, Diagnosis, Export, Model, Recordings, Result, Simulation, Temporary
+from rrr_oc.python.results import (
+    Comparison,
+    Design,
+    Diagnosis,
+    Export,
+    Model,
+    Recordings,
+    Result,
+    Simulation,
+    Temporary,
+)
 from rrr_oc.recordings.header import HEADER
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.storage import read_utf8, write_json
@@ -103,6 +113,17 @@ def export(model: Place | Model | Diagnosis | None, out: Place, **options: Any) 
         options: Those of the command, as `payload=1.0`, or `design="design/summary.json", configuration="PEA", task="task.json"`.
     """
     return _run(Export, "export", [] if model is None else [_model(model)], out, options)
+
+
+def compare(a: Place | Model | Diagnosis | Design, b: Place | Model | Diagnosis | Design) -> Comparison:
+    """What differs between two diagnoses or models by more than its error, or between two designs, by `rrr-oc compare`.
+
+    Args:
+        a, b: Each a result, or its folder or file; a model may be compared with a diagnosis.
+    """
+    with progress_alone() as results:
+        run(["compare", *(str(one.folder if isinstance(one, Result) else one) for one in (a, b))])
+    return Comparison(Path(results[-1]["b"]), results[-1])
 
 
 def _path(recordings: Place | Recordings) -> Path:

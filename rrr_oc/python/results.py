@@ -1,7 +1,7 @@
 """What the functions return: the content of the files that a command writes, as it is said at the console, as a table, and drawn.
 
-Every result has a short `repr`, an `_repr_html_` for notebooks, `to_dataframe()` and, but for exports, `plot()`. Tables have the units of
-the console, in their columns' names or in a column of their own; angles of springs and laws are in degrees.
+Every result has a short `repr`, an `_repr_html_` for notebooks, `to_dataframe()` and, but for exports and comparisons, `plot()`. Tables
+have the units of the console, in their columns' names or in a column of their own; angles of springs and laws are in degrees.
 """
 
 import html
@@ -293,6 +293,38 @@ class Simulation(Result):
         return Picture(figure)
 
 
+class Comparison(Result):
+    """Two diagnoses, models or designs side by side; `folder` is the second's. Its table has a row for each number that differs, or agrees."""
+
+    @property
+    def said(self) -> str:
+        return self.content["said"]
+
+    def table(self) -> Rows:
+        if self.content["kind"] == "designs":
+            return self._of_designs()
+        rows = []
+        for one in self.content["changes"]:
+            factor, unit = diagnosis_words.DEGREES.get(one["unit"], (1.0, one["unit"]))
+            numbers = [factor * one["a"], factor * one["b"], factor * (one["b"] - one["a"])]
+            joints = ", ".join(one["joints"])
+            rows.append([one["effect"], joints, one["parameter"], *numbers, unit.strip(), one["sigmas"], one["changed"]])
+        header = ["effect", "joint", "parameter", "A", "B", "B − A", "unit", "in standard errors", "changed"]
+        return header, rows
+
+    def _of_designs(self) -> Rows:
+        rows = []
+        for name, pair in self.content["configurations"].items():
+            rows += [
+                [name, self.content["cost"], self.content["unit"], *pair["cost"]],
+                [name, "duration", "s", *pair["seconds"]],
+            ]
+            for spring, both in pair["springs"].items():
+                _, factor, unit = spring_unit(spring)
+                rows.append([name, spring, unit, *(None if x is None else factor * x for x in both)])
+        return ["configuration", "quantity", "unit", "A", "B"], rows
+
+
 class Export(Result):
     """Files for other programs, and what they do not hold."""
 
@@ -307,12 +339,18 @@ class Export(Result):
         return self.content.get("urdf")
 
     @property
+    def samples(self) -> list[str]:
+        """Paths of the MJCF of drawn arms; beside each lies its model, with the ending .json."""
+        return self.content.get("samples", [])
+
+    @property
     def said(self) -> str:
         left = self.content["not_in_mjcf"]
         return listed([f for f in (self.mjcf, self.urdf) if f]) + f"; not in the MJCF: {'; '.join(left)}" * bool(left)
 
     def table(self) -> Rows:
         files = [[kind, self.content[kind]] for kind in ("mjcf", "urdf", "into") if kind in self.content]
+        files += [["drawn arm", path] for path in self.samples]
         return ["what", "file or reason"], [*files, *(["not in mjcf", reason] for reason in self.content["not_in_mjcf"])]
 
 

@@ -1,7 +1,8 @@
-"""The commands of README.md, one after the other, in an empty folder: they begin with the demo, and need nothing else. Then the scripts
-of docs/python.md."""
+"""The commands of README.md, one after the other, in an empty folder: they begin with the demo, and need nothing else. Then the script
+of docs/python.md and the notebooks."""
 
 import json
+import re
 import shlex
 import sys
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import pytest
 from doc_pages import ROOT, blocks, code
 from PIL import Image
 
+from docs.from_code.notebooks import BEGIN, END, PAGES, cells, shown
 from rrr_oc import cli
 from rrr_oc.commands import COMMANDS
 from rrr_oc.commands.tour.truth import beside
@@ -63,25 +65,42 @@ def test_the_demo_designs_a_spring_and_shows_it(done):
         assert picture.n_frames > 20  # type: ignore[attr-defined]
 
 
-QUICK = 'starts=1, motions=0, intervals=16, tolerance=1e-2, cycle_times="none", quiet=True'
+QUICK = '"starts": 1, "motions": 0, "intervals": 16, "cycle_times": "none", "tolerance": 1e-2'
 
 
-def test_the_scripts_of_the_page_on_python_run(done, monkeypatch, capsys):
-    """Each of at most ten lines; a table of pandas is its columns and rows here."""
+def test_the_script_of_the_page_on_python_runs(done, monkeypatch, capsys):
+    """A table of pandas is its columns and rows here."""
     monkeypatch.chdir(done[0])
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: (columns, rows)))
-    scripts = [text for language, text in blocks((ROOT / "docs" / "python.md").read_text()) if language == "python"]
-    assert [len(text.split("\n")) <= 11 for text in scripts] == [True] * 3
-    said = []
-    for text in scripts:
-        assert text.count("starts=6") == text.count("rrr_oc.design")
-        exec(compile(text.replace("starts=6", QUICK), "docs/python.md", "exec"), {"__name__": "__main__"})
-        said.append(capsys.readouterr().out)
-    costs = [[float(x) for x in line.split()[2:4]] for line in said[0].splitlines()]
-    assert len(costs) == 3
-    assert all(sprung < 0.5 * stiff for stiff, sprung in costs)
-    assert costs[0][0] < costs[1][0] < costs[2][0]  # the heavier, the more
-    assert "lacks cable harness of elbow" in said[1]
-    assert "'elbow', 'rest', 17." in said[1]  # in degrees
+    (script,) = [text for language, text in blocks((ROOT / "docs" / "python.md").read_text()) if language == "python"]
+    exec(compile(script, "docs/python.md", "exec"), {"__name__": "__main__"})
+    said = capsys.readouterr().out
+    assert "lacks cable harness of elbow" in said
+    assert "'elbow', 'rest', 17." in said  # in degrees
     assert (done[0] / "prediction.png").stat().st_size > 10_000
-    assert "arm.xml" in said[2]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_notebooks_run(page, done, monkeypatch):
+    """Each block has at most ten lines, and shows something, in the page as well."""
+    monkeypatch.chdir(done[0])
+    text = page.read_text()
+    codes = [code.replace('"starts": 4, "motions": 0, "cycle_times": "none", "tolerance": 1e-3', QUICK) for code in cells(text)]
+    assert text.count(BEGIN) == text.count(END) == len(codes)
+    assert all(code.count("\n") <= 10 for code in codes)
+    assert sum(code.count("rrr_oc.design(") for code in codes) == sum(code.count(QUICK) for code in codes)
+    said = list(shown(codes))
+    assert all(printed or value is not None for printed, value in said)
+    printed = "".join(printed for printed, _ in said)
+    values = [value for _, value in said if value is not None]
+    if page.stem == "recordings":
+        assert "cable harness" in values[0]._repr_html_()
+    elif page.stem == "plain_mujoco":
+        assert len(set(printed.splitlines())) == 9  # all arms differ
+    elif page.stem == "payload_sweep":
+        costs = [[float(x) for x in re.findall(r"[:,] ([\d.]+)", line)[:2]] for line in printed.splitlines()]
+        assert all(sprung < 0.5 * stiff for stiff, sprung in costs)
+        assert costs[0][0] < costs[1][0] < costs[2][0]  # the heavier, the more
+    for value in values:
+        if hasattr(value, "_repr_png_"):
+            assert value._repr_png_().startswith(b"\x89PNG")

@@ -1,5 +1,6 @@
 """`rrr-oc export`: an arm, with the springs of a design, as files for other programs."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,13 +8,14 @@ import numpy as np
 import typer
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.model_file import load_model
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
 from rrr_oc.codesign.transfer import of_all_joints, uncalibrated, unknown_joints
+from rrr_oc.commands.models.samples import samples as drawn_arms
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import check_apart, check_payload
+from rrr_oc.commands.shared import MOST, check_apart, check_payload
 from rrr_oc.effects import OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
@@ -23,9 +25,11 @@ from rrr_oc.simulation.agreement import Differences, differences, largest_of
 from rrr_oc.simulation.export import mjcf, urdf_of
 from rrr_oc.simulation.export_into import check_into
 from rrr_oc.simulation.export_into import into as into_mjcf
-from rrr_oc.storage import check_folder, write_text
+from rrr_oc.storage import check_folder, new_files, write_json, write_text
 
 app = typer.Typer(add_completion=False)
+SAMPLES = "samples"  # folder of drawn arms
+OF_SAMPLES = ("samples.json", "[0-9][0-9][0-9]*.xml", "[0-9][0-9][0-9]*.json")  # its files
 
 
 @app.command()
@@ -51,6 +55,15 @@ def export(
     ] = None,
     rate: Annotated[float, typer.Option(help="of --trajectory \\[Hz]")] = 500.0,
     payload: Annotated[float, typer.Option(help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
+    samples: Annotated[
+        int,
+        typer.Option(
+            help="further arms, drawn from what the recordings leave open of the model, to randomise a simulation",
+            min=0,
+            max=MOST,
+        ),
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="of --samples", min=0)] = 0,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -61,34 +74,79 @@ def export(
     found = None if model is None else load_model(model)
     wanted, springs = _designed(design, configuration, task)
     chosen, recorded_files = _recorded(recordings, recording, found, wanted)
+    if samples and found is None:
+        raise UserError("--samples needs a model.json, from which arms are drawn")
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
     read = [path for path in (model, design, into) if path is not None]
     texts = _trajectories(out, trajectory, rate, design, configuration, wanted)
     written = [out / "arm.xml", out / "arm.urdf", *([] if into is None else [_filled(out, into)]), *texts]
+    written += [out / SAMPLES / pattern for pattern in OF_SAMPLES] if samples else []
     check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], written)
-    arm, theta, left_out = _arm(found, wanted, springs) if chosen is None or found is None else _as_in(found, chosen)
-    made = mjcf(arm, theta, payload, left_out)
-    write_text(out / "arm.xml", made.text)
-    files: dict[str, Any] = {"mjcf": str(out / "arm.xml")}
-    output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
-    apart, in_urdf = _read_again({"mjcf": out / "arm.xml"}, arm, theta, payload, chosen), list[str]()
-    if found is not None:
-        own = (arm, theta, left_out) if wanted is None else _arm(found, None, SavedSprings((), ()))
-        files["urdf"], in_urdf, more = _write_urdf(output, out / "arm.urdf", found, own, chosen)
-        apart |= more
-    _tell(output, apart)
+    asked = _Asked(found, wanted, springs, chosen, payload)
+    files = _write_arm(output, out, asked)
     if into is not None:
-        files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
+        files |= _write_into(output, into, _filled(out, into), asked)
+    if found is not None and samples:
+        files |= _write_samples(output, out, asked, samples, seed)
     for place, text in texts.items():
         write_text(place, text)
         output.show(f"{place} has the motion of the design at {rate:g} Hz.")
-    if texts:
-        files["trajectory"] = list(map(str, texts))
+    output.result(files | ({"trajectory": list(map(str, texts))} if texts else {}))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is exported: the arm of a model or of a task, or of both, with springs, as in a recording, and with a payload [kg]."""
+
+    found: CalibratedModel | None
+    wanted: Task | None
+    springs: SavedSprings
+    chosen: Recording | None
+    payload: float
+
+    def arm(self, found: CalibratedModel | None) -> tuple[Model, np.ndarray, list[str]]:
+        """The arm with this model in the place of its own, as `_arm` gives it."""
+        return _arm(found, self.wanted, self.springs) if self.chosen is None or found is None else _as_in(found, self.chosen)
+
+
+def _write_arm(output: Output, out: Path, asked: _Asked) -> dict[str, Any]:
+    """arm.xml, and of a model arm.urdf, read again; their part of the result."""
+    arm, theta, left_out = asked.arm(asked.found)
+    made = mjcf(arm, theta, asked.payload, left_out)
+    write_text(out / "arm.xml", made.text)
+    files: dict[str, Any] = {"mjcf": str(out / "arm.xml")}
+    output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
+    apart, in_urdf = _read_again({"mjcf": out / "arm.xml"}, arm, theta, asked.payload, asked.chosen), list[str]()
+    if asked.found is not None:
+        own = (arm, theta, left_out) if asked.wanted is None else _arm(asked.found, None, SavedSprings((), ()))
+        files["urdf"], in_urdf, more = _write_urdf(output, out / "arm.urdf", asked.found, own, asked.chosen)
+        apart |= more
+    _tell(output, apart)
     for one in made.left_out:
         output.note(f"Not in arm.xml: {one}.")
-    told = {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
-    output.result(files | told)
+    return files | {"not_in_mjcf": list(made.left_out), "not_in_urdf": in_urdf, "differences": apart}
+
+
+def _write_samples(output: Output, out: Path, asked: _Asked, count: int, seed: int) -> dict[str, Any]:
+    """Drawn arms in `SAMPLES`, in the place of those that are there; their part of the result."""
+    assert asked.found is not None
+    rows, refused = [], 0
+    with new_files(out / SAMPLES, OF_SAMPLES) as folder:
+        for k, one in enumerate(drawn_arms(asked.found, count, seed), 1):
+            number = f"{k:0{max(len(str(count)), 3)}d}"
+            names = {"mjcf": f"{number}.xml", "model": f"{number}.json"}
+            arm, theta, left_out = asked.arm(one.model)
+            write_text(folder / names["mjcf"], mjcf(arm, theta, asked.payload, left_out).text)
+            _read_again({"mjcf": folder / names["mjcf"]}, arm, theta, asked.payload, asked.chosen)
+            save_model(one.model, folder / names["model"])
+            rows.append(names | {"drawn_from": one.says})
+            refused += one.refused
+        write_json(folder / "samples.json", {"seed": seed, "refused_draws": refused, "samples": rows})
+    output.show(f"{out / SAMPLES} has {count} drawn arms, an MJCF and a model.json each.")
+    if refused:
+        output.note(f"{refused} draws were no possible arms, and were drawn again.")
+    return {"samples": [str(out / SAMPLES / row["mjcf"]) for row in rows], "refused_draws": refused}
 
 
 def _write_urdf(
@@ -127,8 +185,9 @@ def _filled(out: Path, user: Path) -> Path:
     return out / f"{user.stem}_with_model.xml"
 
 
-def _write_into(output: Output, user: Path, place: Path, arm: Model, theta: np.ndarray, payload: float) -> dict[str, Any]:
+def _write_into(output: Output, user: Path, place: Path, asked: _Asked) -> dict[str, Any]:
     """A copy of a user's MJCF with the model's numbers, read again; its part of the result."""
+    (arm, theta, _), payload = asked.arm(asked.found), asked.payload
     made = into_mjcf(user, place, arm, theta, payload)
     write_text(place, made.text)
     try:
