@@ -261,6 +261,12 @@ def mounts(c: Configuration) -> list[str]:
         others = [f"with {words(key)} {value}" for key, value in ways.items() if key not in ("phase", "active", "winding")]
         if said or others:
             told.append(f"The {placed(label)} acts {', '.join([*said, *others])}.")
+        if "winding" in ways:
+            turn = " ".join(
+                f"{'−' if w > 0 else '+'} r_{i} {joint}"
+                for i, (joint, w) in enumerate(zip(joints, ways["winding"], strict=True), 2)
+            )
+            told[-1] += f" Where these joints are at 0, its pulley r_1 is at 0, too; else at ({turn})/r_1."
     return told
 
 

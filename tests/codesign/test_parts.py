@@ -75,6 +75,58 @@ def test_compression_spring_of_the_textbook():
     assert spring.stresses(6.46 * LBF)["shear"] == pytest.approx(0.45 * spring.wire.tensile, rel=0.015)  # Wahl's factor again
 
 
+# Central Springs, table of torsion springs of music wire (centralsprings.com/torsion.html): product code, wire and outside diameter [mm],
+# number of coils, deflection [°] and the greatest torque [Nmm], which belongs to it.
+TORSION_OF_A_MAKER = [
+    ("T10100", 0.35, 5.25, 3.25, 90, 4.5),
+    ("T10110", 0.35, 5.25, 6.55, 180, 4.5),
+    ("T10120", 0.35, 5.25, 9.75, 270, 4.5),
+    ("T10140", 0.42, 5.50, 3.25, 90, 9.0),
+    ("T10160", 0.51, 6.00, 3.25, 90, 18.0),
+]
+
+
+@pytest.mark.parametrize("row", TORSION_OF_A_MAKER, ids=lambda row: row[0])
+def test_torsion_springs_of_a_maker(row):
+    """The torque at the largest deflection to 2.5 %: it is printed to half a Nmm or less, and legs do not count there. What the maker
+    allows is within what the wire stands here."""
+    _, d, outside, coils, turn, torque = row
+    spring = TorsionSpring(wire(np.array(d / 1e3)), np.array((outside - d) / 1e3), np.array(coils))
+    assert spring.rate * np.radians(turn) == pytest.approx(torque / 1e3, rel=0.025)
+    assert 1 < safeties(spring, (0.0, torque / 1e3), 1e5)["bending, set"] < 2
+
+
+# Lee Spring, catalogue of extension springs of music wire (yumpu.com/en/document/view/46334550, page 113), stock numbers EIM 025A 01 to 07
+# and EI 010B 01 to 03: all of wire of 0.010 in. Of each series outside diameter [mm], greatest load [N], free lengths [mm], rates [N/mm].
+EXTENSION_OF_A_MAKER = {
+    "EIM 025A": (
+        2.00,
+        3.87,
+        [10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0],
+        [0.326, 0.232, 0.181, 0.148, 0.125, 0.108, 0.096],
+    ),
+    "EI 010B": (2.38, 2.67, [9.53, 11.11, 12.70], [0.210, 0.165, 0.133]),
+}
+
+
+@pytest.mark.parametrize("series", EXTENSION_OF_A_MAKER)
+def test_extension_springs_of_a_maker(series):
+    """Coils lie side by side, so that a free length longer by a wire's diameter is a coil more: what each makes softer agrees to 2.5 %,
+    and the length over the hooks of the shortest spring to 7 %. The catalogue's tolerance of a rate is 10 %."""
+    outside, load, lengths, rates = EXTENSION_OF_A_MAKER[series]
+    d = 0.010 * INCH
+    D = np.array(outside / 1e3 - d)
+    one = ExtensionSpring(wire(np.array(d)), D, np.array(1.0))
+    softer = np.polyfit(np.array(lengths) / 1e3 / d, 1 / (1e3 * np.array(rates)), 1)[0]
+    assert softer == pytest.approx(1 / one.rate, rel=0.025)
+    shortest = ExtensionSpring(one.wire, D, one.rate / (1e3 * rates[0]))
+    assert shortest.free_length == pytest.approx(lengths[0] / 1e3, rel=0.07)
+    # The greatest load is where the hooks yield here; the metric series goes a fifth beyond, nearer to the wire's strength.
+    hook = safeties(shortest, (0.0, load), 1e5)["bending of the hook, set"]
+    assert hook == pytest.approx(1.0, abs=0.03 if series == "EI 010B" else 0.2)
+    assert shortest.stresses(load)["bending of the hook"] < shortest.wire.tensile
+
+
 def test_a_stress_from_zero_to_what_is_endured_has_a_safety_of_one():
     assert goodman(0.0, 500.0, 1500.0, 500.0) == pytest.approx(1.0)
     assert goodman(800.0, 800.0, 1500.0, 500.0) == pytest.approx(1500 / 800)  # a constant one breaks at the strength

@@ -9,7 +9,7 @@ from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import order_list
 from rrr_oc.effects.design_form import Axis
 from rrr_oc.report.design_report import order_table
-from rrr_oc.report.design_words import bound, part_limits
+from rrr_oc.report.design_words import bound, mounts, part_limits
 
 
 def rows_of(axis: Axis, turn: tuple[float, float], limits: SpringLimits) -> dict[str, dict[str, str]]:
@@ -51,3 +51,10 @@ def test_limits_in_words():
     )
     said = bound("moving the limit of the turn of the parallel_spring[joint3] (180 °) outward by one ° would save 1 % of E1")
     assert said.startswith("Moving the limit of the turn of the parallel spring of joint3 (180 °)")
+
+
+def test_the_angle_of_the_pulley_at_a_spring_is_told_for_each_winding():
+    """Its turn beyond the slack angle is what the law calls s r_2/r_1, with s = −w_a q_a − w_b r_3/r_2 q_b − φ."""
+    found: Any = SimpleNamespace(mounted={"biarticular_spring[hip,knee]": {"winding": [1, -1]}})
+    (sentence,) = mounts(found)
+    assert sentence.endswith("at 0, its pulley r_1 is at 0, too; else at (− r_2 hip + r_3 knee)/r_1.")
