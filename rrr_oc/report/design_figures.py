@@ -21,7 +21,7 @@ FRAMES = 60  # pictures of a motion of the arm
 NEAR = 0.4  # [1] of a curve's range within which a limit is drawn
 GOOD = 1.1  # [1] of the cost with springs of its own that a task may have with those of the set to be counted as near
 ONE_JOINT = ("k_p", "k_v", "k_t")  # stiffnesses of springs across one joint
-ARM = "arm.npz"  # points of the arm in each picture of each motion, (FRAMES, n + 2, 2) [m], and when the payload is let go [1]
+ARM = "arm.npz"  # points of the arm in each picture of each motion, (FRAMES, n + 2, 2) [m]
 # Rows of an npz with the unit in which they are shown, and their limits
 QUANTITIES = {
     "q": (180 / np.pi, "range_rad"),
@@ -230,7 +230,7 @@ def _arm(study: DesignFile, motions: Motions, arm: Arrays, by: tuple[str, ...]) 
         Curve("load_x", "load_z", "ink", "payload", "markers", 14, moves=True),
     )
     return Figure(
-        "arm", "The arm and its springs", ("x [m]", "z [m]"), curves, data, "arm", captions, by, equal=True, height=460
+        "arm", "The arm and its springs", ("x [m]", "z [m]"), curves, data, "arm", captions, by, equal=True, height=400
     )
 
 

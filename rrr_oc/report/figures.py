@@ -176,9 +176,8 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
         _number(getattr(axis, f"{figure.log}axis"), figure.ticks)
     if figure.counts:
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    if figure.names and axis.get_ylim()[0] < axis.get_ylim()[1]:  # not yet turned by an axis that shares it
-        axis.margins(y=0.5 / max(len(axis.get_yticks()), 1))
-        axis.invert_yaxis()
+    if figure.names:
+        axis.set_ylim(len(axis.get_yticks()) - 0.5, -0.5)
     if figure.equal:
         axis.set_aspect("equal")
     if any(curve.text for curve in figure.curves):
@@ -207,17 +206,20 @@ def _draw_curve(axis: Any, curve: Curve, columns: Columns, figure: Figure) -> No
     if curve.moves:
         _draw_moving(axis, curve, columns)
         return
-    look: dict[str, Any] = {"lw": 0.75 * curve.width, "ls": DASHES[curve.dash]}
-    if curve.mode == "markers":
-        fill = "none" if curve.hollow else colour
-        look = {"ls": "", "marker": SYMBOLS[curve.symbol], "ms": 0.65 * curve.width, "mfc": fill}
     if curve.band:
         axis.fill_between(x, *(columns[edge] for edge in curve.band), color=colour, alpha=0.2, lw=0)
-    axis.plot(x, y, color=colour, label=curve.name or None, **look)
+    axis.plot(x, y, color=colour, label=curve.name or None, **_look(curve))
     if curve.bars:
         axis.errorbar(x, y, xerr=[columns[side] for side in curve.bars], fmt="none", color=colour, lw=2)
     for place, word in zip(zip(x, y, strict=True), columns[curve.text] if curve.text else (), strict=False):
         axis.annotate(word, place, textcoords="offset points", xytext=(6, 4), **FOOTER)
+
+
+def _look(curve: Curve) -> dict[str, Any]:
+    if curve.mode == "lines":
+        return {"lw": 0.75 * curve.width, "ls": DASHES[curve.dash]}
+    fill = "none" if curve.hollow else ROLES[curve.role]
+    return {"ls": "", "marker": SYMBOLS[curve.symbol], "ms": 0.65 * curve.width, "mfc": fill}
 
 
 def _draw_moving(axis: Any, curve: Curve, columns: Columns) -> None:
@@ -230,8 +232,7 @@ def _draw_moving(axis: Any, curve: Curve, columns: Columns) -> None:
         if several:
             axis.plot(x[i], y[i], "o-", color=plt.cm.viridis(share), lw=1.6, ms=3.5)
             continue
-        look = {"ls": "", "marker": "o", "ms": 0.65 * curve.width} if curve.mode == "markers" else {"ls": DASHES[curve.dash]}
-        axis.plot(x[i], y[i], color=ROLES[curve.role], mfc="none", label=None if share else curve.name, **look)
+        axis.plot(x[i], y[i], color=ROLES[curve.role], label=None if share else curve.name, **_look(curve))
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 130) -> Path:

@@ -25,23 +25,29 @@ from own_arm import OWN, own_model, own_task
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.codesign.certificate import MeshQuality
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
-from rrr_oc.diagnosis.result import Diagnosis, Fold
+from rrr_oc.diagnosis.result import Diagnosis, Finding, Fold
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.report.design_figures import ARM, design_figures, read_motions
 from rrr_oc.report.design_report import optima_table, report, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
+from rrr_oc.report.diagnosis_figures import diagnosis_figures
 from rrr_oc.report.diagnosis_report import about, write_diagnosis
-from rrr_oc.report.figures import thinned
+from rrr_oc.report.figures import Panel, draw, plt, thinned
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
 from rrr_oc.report.pages.diagnosis_model import model_numbers
 from rrr_oc.report.pages.diagnosis_page import first_shown, write_diagnosis_page
 from rrr_oc.report.pages.page import PLOTLY, STEPS, packed
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.schema import read_json
+from rrr_oc.storage import read_npz
 
 MARKUP = "<b>x</b>&\"'"  # a name that is markup where it is not escaped
 FILE = "<i>0</i>&\"'.csv"
@@ -231,6 +237,55 @@ def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     np.testing.assert_array_equal(np.isin(q, recorded.q[1]), True)
     np.testing.assert_array_equal(np.isin(dq, recorded.dq[1]), True)
     assert found["worst"] == 1
+
+
+def test_the_law_of_a_claim_lies_over_what_was_recorded_of_it(diagnosis):
+    """The spring's own torque at the angles of the bins, by its equation; the motor gives what it takes."""
+    term = next(term for term in diagnosis.model.terms if term.effect.name == "parallel_spring")
+    found = Finding(term, 0.9, 100.0, 1e-9, named=True, fall=Fall(1, 0.4, 0.3, 0.5), right=0.9)
+    shown = curves(replace(diagnosis, findings=(found,)), {})
+    assert shown["over"].tolist() == [f"q_{diagnosis.model.joints[1]}"]
+    x, low, high, law = shown["law 0"]
+    stiffness, rest = term.values
+    assert len(x) > 20
+    assert np.all(np.diff(x) > 0)
+    width = 1.05 * np.max(np.diff(x)) * stiffness  # of a bin, over which the median may lie
+    np.testing.assert_allclose(law, -stiffness * np.maximum(rest - x, 0.0), atol=width)
+    assert np.mean((low <= law) & (law <= high)) > 0.8
+    (figure,) = [f for f in diagnosis_figures(filled({}, DiagnosisFile), shown, ["Spring"]) if f.name == "law_0"]
+    assert figure.axes == ("position of elbow [°]", "torque [Nm]")
+    np.testing.assert_allclose(figure.data[""]["x"], np.degrees(x))
+
+
+@pages
+def test_matplotlib_draws_the_numbers_of_the_page(folders, name):
+    """Of each figure with its first data, in every curve that is a line or a cloud of one colour."""
+    folder = folders[name]
+    if name == "diagnosis":
+        found = read_json(folder / "diagnosis.json", DiagnosisFile)
+        figures = diagnosis_figures(found, read_npz(folder / "figures.npz"))
+    else:
+        study = read_json(folder / "summary.json", DesignFile)
+        figures = design_figures(study, read_motions(folder, study), read_npz(folder / ARM))
+    page = payload(text_of(folder))
+    assert sorted(f.name for f in figures) == sorted(page["figures"])
+    for figure in figures:
+        one = next(key for key, columns in figure.data.items() if "joined" not in columns)
+        drawn = draw([[Panel(figure, one)]])
+        axis, columns = drawn.axes[0], page["data"][figure.table][one]
+        plt.close(drawn)
+        shown = [np.column_stack(line.get_data(orig=True)) for line in axis.get_lines()]
+        for curve in figure.drawn(one):
+            if curve.colour or curve.moves:
+                continue
+            wanted = np.column_stack([np.array(columns[x], object) for x in (curve.x, curve.y)])
+            numbers = [i for i in (0, 1) if not isinstance(wanted[0, i], str)]
+            wanted = wanted[:, numbers].astype(float)
+            atol = 1e-4 * np.max(np.abs(np.nan_to_num(wanted)))
+            assert any(
+                len(s) == len(wanted) and np.allclose(s[:, numbers].astype(float), wanted, rtol=1e-4, atol=atol, equal_nan=True)
+                for s in shown
+            ), (figure.name, curve)
 
 
 def test_a_page_shows_first_what_the_first_claim_changes(diagnosis):
