@@ -20,7 +20,7 @@ from rrr_oc.effects import CATALOGUE, BlackBox, Effect, Trial, View, listed_spri
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.effects.words import Number, Several
 from rrr_oc.model.motion import Motion
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import load_robot
 

@@ -17,7 +17,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
 from rrr_oc.calibration.measurement import measurement
 from rrr_oc.calibration.prediction_error import error, mean_nrmse
 from rrr_oc.calibration.samples import Prepared, noise
-from rrr_oc.effects import plain_effects
+from rrr_oc.effects import CATALOGUE, LoopChange, plain_effects
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import links_from_log_cholesky, prior
 from rrr_oc.robot.robot import BUNDLED, urdf_text
@@ -35,6 +35,8 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
     if recordings.inertial == "identify":
         robot = replace(robot, inertial=links_from_log_cholesky(prior(robot).centre)[0])
     effects = [kind((j,)) for j in range(n) for kind in plain_effects(recordings.torque)]
+    changes = [kind for kind in CATALOGUE.values() if issubclass(kind, LoopChange)]  # of gains that are estimates
+    effects += [kind((recordings.joints.index(joint),)) for joint in recordings.estimated_kp for kind in changes]
     return CalibratedModel(
         robot=robot,
         source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",

@@ -10,7 +10,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.model.recorded_physics import Physics, later
 from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED
 from rrr_oc.simulation.engine_model import K_P, Controller

@@ -13,16 +13,25 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.signal import savgol_coeffs
 from scipy.sparse import csr_matrix, diags
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics, samples_before
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
+from rrr_oc.recordings.faults import cut_off
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
 SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # [s], of the regressors; doubled, fast motion biases the estimates
+LONGER = (
+    1.0,
+    1.4,
+    2.0,
+    2.8,
+    4.0,
+)  # times the window of the speed that are tried; one more, coarser encoders are smoothed enough
 STRIDE = 0.04  # [s] between the rows that are kept; doubled, half as many rows, which lose what the filter lets through
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
 SHORTEST = 0.6  # [s], least length of a segment: three times the common filter; doubled, short segments are lost
@@ -62,7 +71,7 @@ class Prepared:
         recording: The recording with speeds and accelerations from short windows.
         measured: Recorded torque at the joints' output (n, K) [Nm].
         moving: Where each joint moves and no window of its motion reaches into a rest, (n, K). At rest, dry friction takes any
-            value below its level, so samples at rest do not count.
+            value below its level, so samples at rest do not count; nor do those at which the recorded torque is cut off.
         window: Window of the common filter [s].
         spikes: Number of samples of `measured` that were replaced, (n,).
     """
@@ -121,7 +130,7 @@ def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared,
             )
     sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
     spikes = np.zeros(recordings.robot.n, int)
-    found = tuple(Prepared(r, recordings.output_torque(r), _moving(r), window, spikes) for r in sharp)
+    found = tuple(Prepared(r, recordings.output_torque(r), _moving(r) & ~_cut(r), window, spikes) for r in sharp)
     low, high = (f([f(p.measured, axis=1) for p in found], axis=0) for f in (np.min, np.max))
     for j in np.flatnonzero((low == high) & np.any([p.moving.any(axis=1) for p in found], axis=0))[:1]:
         said = f"the torque of {recordings.joints[j]} is {low[j] + 0.0:g} Nm in every sample while the joint moves"
@@ -243,9 +252,40 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
         t, from_q, from_dq = r.t[s], derived & ~given, derived & given
         ddq[from_q, s] = local_polynomial(t, r.q[from_q, s], 2, 4, acceleration)
         ddq[from_dq, s] = local_polynomial(t, r.dq[from_dq, s], 1, 3, acceleration)
-        dq[~given, s] = local_polynomial(t, r.q[~given, s], 1, 3, speed)
+        for j in np.flatnonzero(~given):
+            dq[j, s] = _speed(t, r.q[j, s], speed)
         dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
     return replace(r, dq=dq, ddq=ddq)
+
+
+def _cut(recording: Recording) -> np.ndarray:
+    """Where the recorded torque is cut off at a limit, (n, K); none of torques that a loop gives."""
+    cut = np.zeros(recording.tau.shape, bool)
+    for j, tau in enumerate(recording.tau if recording.command is None else ()):
+        found = cut_off(tau)
+        if found is not None:
+            cut[j] = np.abs(tau) >= found[0] * (1 - 1e-9)
+    return cut
+
+
+def _speed(t: np.ndarray, q: np.ndarray, least: int) -> np.ndarray:
+    """Speed (K,) [rad/s] of a position q (K,) [rad] from windows of `least` samples, or longer ones where positions are coarse.
+
+    The longer the window, the less noise and the more bias a speed has. The sum of their squares has an unbiased estimate: the squared
+    difference from the shortest window's speed less the noise in that difference, plus the noise of the longer one (Mallows 1973). Noise
+    matters since friction turns with the sign of the speed: coarse encoders would make dry friction larger and viscous smaller.
+    """
+    step = float(np.median(np.diff(t)))
+    counts = [c + 1 - c % 2 for c in (int(least * times) for times in LONGER) if 2 * c < len(t)] or [least]
+    speeds = [local_polynomial(t, q[None], 1, 3, count)[0] for count in counts]
+    weights = [np.pad(savgol_coeffs(count, 3, 1, step), (counts[-1] - count) // 2) for count in counts]
+    middle = savgol_coeffs(least, 3)[least // 2]
+    noise = np.mean(np.square(q - local_polynomial(t, q[None], 0, 3, least)[0])) / (1 - middle)
+    errors = [
+        np.mean(np.square(v - speeds[0])) - noise * (np.sum(np.square(w - weights[0])) - np.sum(np.square(w)))
+        for v, w in zip(speeds, weights, strict=True)
+    ]
+    return speeds[int(np.argmin(errors))]
 
 
 def _moving(recording: Recording) -> np.ndarray:

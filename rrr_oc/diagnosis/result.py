@@ -54,7 +54,8 @@ class Finding:
         innovations: The same of the error's innovations, which a slow disturbance does not hide.
         like: Of a black-box term: the law that it is most like.
         reach: Of a law: share of what the best flexible function in its place explains that it explains; None where that was not asked.
-        with_function: Whether it is not named, but told with a function beside it, whose torque is most like it.
+        with_function: Whether it is told with a function beside it: a law that this torque is most like, or one more function of the same
+            variables.
         right: How often claims like this one are right; None of what is no claim of its own.
         named: Whether it is claimed as this law; else only that a torque on its joint depends on its variables.
     """

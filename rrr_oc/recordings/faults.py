@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 MOVED = (
     0.02  # [rad] of travel of a joint that is not listed, or of a speed beside a position that stays; doubled, small ones pass
@@ -17,6 +18,11 @@ CUT_LEVEL, CUT_TIMES = (
     0.01,
     6.0,
 )  # the share of the range below it that has so many times fewer rows; a sine's peak has 2.4 times
+SPIKE, USUAL = (
+    10.0,
+    0.99,
+)  # times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
+FAR = 5.0  # steps from sample to sample, usual ones or around it, below which a deviation is none; doubled, small spikes stay
 AGAIN = 0.5  # share of a recording's rows that stand in another one; doubled, copies of the half pass
 
 
@@ -91,6 +97,18 @@ def cut_off(torque: np.ndarray) -> tuple[float, float] | None:
     longest = int(np.max(edges[1::2] - edges[::2]))
     cut = largest > 0 and longest >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
     return (largest, float(np.mean(at))) if cut else None
+
+
+def spikes(q: np.ndarray) -> np.ndarray:
+    """Where a position (K,) [rad] jumps away for one or two samples and back, as after a bit that was read wrongly, (K,).
+
+    A motion that goes on equals its running median, whatever its speed; what is a whole turn off is unwrapped instead.
+    """
+    steps, off = np.abs(np.diff(q, prepend=q[:1])), np.abs(q - median_filter(q, 5, mode="nearest"))
+    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))
+    usual = float(np.median(steps[steps > 0])) if steps.any() else np.inf
+    around = np.maximum(median_filter(steps, 11, mode="nearest"), usual)
+    return (off > SPIKE * float(np.quantile(off, USUAL))) & (off > FAR * around)
 
 
 def repeated(rows: Sequence[np.ndarray]) -> list[tuple[int, int, float]]:

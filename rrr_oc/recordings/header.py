@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -9,7 +10,6 @@ import numpy as np
 from msgspec import Meta, field
 
 from rrr_oc.effects import Effect
-from rrr_oc.recordings.loop import Loop
 from rrr_oc.schema import LARGEST, Payload, Position, Schema, Text, Vector, check_names, parsed, validated, without_free_text
 from rrr_oc.storage import read_utf8
 
@@ -21,6 +21,27 @@ Torque = Literal["motor", "load", "current", "command"]  # what may be recorded
 Gain = float | dict[str, float]  # of a loop: of all joints, or by joint
 EFFORTS = {"current": "current", "command": "command"}  # by what is recorded, what its columns' names begin with; else "tau"
 UNIT_OF = {"current": "A", "command": "rad"}  # of these columns; else Nm
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A PD loop at each joint: torque = kp (q_d − q) − kd dq, with commanded angles q_d.
+
+    Attributes:
+        kp: [Nm/rad], above 0, (n,).
+        kd: [Nm s/rad], 0 or above, (n,).
+    """
+
+    kp: np.ndarray
+    kd: np.ndarray
+
+    def torque(self, command: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """What the loop gives [Nm], (n, K), for commanded and measured positions [rad] and speeds [rad/s], each (n, K)."""
+        return self.kp[:, None] * (command - q) - self.braking(dq)
+
+    def braking(self, dq: np.ndarray) -> np.ndarray:
+        """Its torque against the motion, kd dq [Nm], (n, K), for speeds (n, K) [rad/s]."""
+        return self.kd[:, None] * dq
 
 
 class ToolOnLink(Schema, frozen=True):
@@ -100,8 +121,9 @@ class Header(Schema, frozen=True):
         actuators: Drives by joint.
         fixed_deg: Angles of joints that are not recorded [°]; 0 for those left out, or the middle of a range that lacks 0.
         coupling: Columns that are sums of joints, where they are.
-        kp: Of the loop where `torque` is "command", above 0: a number, or one per joint by name [Nm/rad].
-        kd: As `kp`, 0 or above [Nm s/rad].
+        kp: Of the loop where `torque` is "command", above 0: a number, or one per joint by name [Nm/rad]. One that is not known (null, or
+            left out) follows from the masses of the robot's file.
+        kd: As `kp`, 0 or above [Nm s/rad]. One that is not known is a part of viscous friction.
     """
 
     format: Literal["rrr_oc-recordings/1"]
@@ -133,7 +155,7 @@ class Header(Schema, frozen=True):
         for i, entry in enumerate(self.recordings):
             if self.torque != "command" and (entry.kp is not None or entry.kd is not None):
                 raise ValueError(f"recordings[{i}]: has gains of a loop; torque {self.torque!r} has none")
-            check_gains(self.torque, *self._gains(entry), self.joints)
+            check_gains(*self._gains(entry), self.joints)
         if self.coupling is not None and self.torque == "command":
             raise ValueError("coupling: is for torques and currents that are recorded; with torque 'command' there is none")
         for kind in ("q", "tau") if self.coupling is not None else ():
@@ -152,8 +174,12 @@ class Header(Schema, frozen=True):
         return np.array(matrix, float) * constant / constant[:, None]
 
     def loop(self, entry: RecordingEntry) -> Loop | None:
-        """The loop that follows the commands of a recording; None where torques or currents are recorded."""
-        return None if self.torque != "command" else Loop(*(_by_joint(gain, self.joints) for gain in self._gains(entry)))
+        """The loop that follows the commands of a recording, with NaN for a kp that is not known; None where torques or currents are
+        recorded."""
+        if self.torque != "command":
+            return None
+        kp, kd = (_by_joint(gain, self.joints) for gain in self._gains(entry))
+        return Loop(kp, np.nan_to_num(kd))
 
     def _gains(self, entry: RecordingEntry) -> tuple[Gain | None, Gain | None]:
         """kp and kd in a recording."""
@@ -165,18 +191,15 @@ class Header(Schema, frozen=True):
         return tuple(self.actuators.get(joint, Actuator()).torque_constant for joint in self.joints)
 
 
-def check_gains(torque: str, kp: Gain | None, kd: Gain | None, joints: Sequence[str]) -> None:
-    """Raise `ValueError` for gains of a loop that some joint lacks, or that are out of range."""
+def check_gains(kp: Gain | None, kd: Gain | None, joints: Sequence[str]) -> None:
+    """Raise `ValueError` for gains of a loop of joints that there are not, or that are out of range."""
     for key, gain, unit, above in (("kp", kp, "Nm/rad", True), ("kd", kd, "Nm s/rad", False)):
-        if gain is None and torque != "command":
-            continue
         if gain is None:
-            raise ValueError(f"{key}: is missing; torque 'command' needs it: a number of {unit}, or one per joint by name")
+            continue
         found = gain if isinstance(gain, dict) else dict.fromkeys(joints, gain)
-        unknown, missing = [j for j in found if j not in joints], [j for j in joints if j not in found]
-        if unknown or missing:
-            said = f"unknown joint {unknown[0]!r}" if unknown else f"no number for {', '.join(missing)}"
-            raise ValueError(f"{key}: {said}; one for each of {', '.join(joints)} is required")
+        unknown = [j for j in found if j not in joints]
+        if unknown:
+            raise ValueError(f"{key}: unknown joint {unknown[0]!r}; there are {', '.join(joints)}")
         for joint, value in found.items():
             if not (math.isfinite(value) and (value > 0 if above else value >= 0)):
                 least = "above 0" if above else "of 0 or more"
@@ -184,7 +207,8 @@ def check_gains(torque: str, kp: Gain | None, kd: Gain | None, joints: Sequence[
 
 
 def _by_joint(gain: Gain | None, joints: Sequence[str]) -> np.ndarray:
-    return np.array([gain[joint] if isinstance(gain, dict) else gain for joint in joints], float)
+    """Gains (n,), NaN where one is not known."""
+    return np.array([gain.get(joint) if isinstance(gain, dict) else gain for joint in joints], float)
 
 
 def read_header(path: Path) -> Header:

@@ -37,6 +37,7 @@ ZEROS = np.radians([-180, -150, -120, -90, -60, -45, -30, -15, 15, 30, 45, 60, 9
 LEAST_ANGLE, MOST_ANGLE = 0.2, 13.0  # [rad] between which the largest angle of recordings lies; two turns
 FINER = np.radians([10, 5, 2, 1, 0.5])  # steps by which the best of them is moved
 LEAST_ZERO = np.radians(3)  # that is said; smaller ones are the diagnosis' to find
+LEAST_SHIFT = 0.03  # [m] by which a zero moves the centre of what turns: a file's error of three usual deviations; doubled, large zeros pass
 WEIGHT = (0.5, 2.0)  # a link's mass over the file's between which it is left to the diagnosis
 SIDES = {"x": 0, "y": 1, "z": 2}
 
@@ -332,10 +333,18 @@ def _zeros(compared: Comparison) -> Iterator[Hypothesis]:
                 there = compared.nrmse(reading)
                 if score(there) < score(after):
                     at, after = zero, there
-        if abs(at) > LEAST_ZERO:
+        if abs(at) > LEAST_ZERO and 2 * np.sin(abs(at) / 2) * _lever(compared, j) > LEAST_SHIFT:
             reading = replace(Reading.as_given(len(names)), zero=at * (np.arange(len(names)) == j))
             said = f"q_{joint} fits with {np.degrees(at):+.3g}° added to it"
             yield Hypothesis((Mistake("zero", (f"q_{joint}",), said, j),), after, reading)
+
+
+def _lever(compared: Comparison, j: int) -> float:
+    """Distance [m] from a joint to the centre of what turns about it, by its largest weight in the recordings; infinite without gravity."""
+    robot = compared.samples.recordings.robot
+    weight = np.max(np.abs(compared.samples.load(Reading.as_given(robot.n), rates=False)[j]))
+    force = np.sum(robot.inertial[0, j:]) * np.linalg.norm(robot.gravity)
+    return float(weight / force) if weight > 1e-6 * force > 0 else np.inf
 
 
 def _axes(compared: Comparison) -> Iterator[Hypothesis]:
@@ -356,17 +365,22 @@ def _axes(compared: Comparison) -> Iterator[Hypothesis]:
 
 
 def _gravity(compared: Comparison) -> Iterator[Hypothesis]:
-    """Gravity along another axis of the base, as of an arm on a wall or a ceiling."""
+    """Gravity along another axis of the base, as of an arm on a wall or a ceiling; or none, as where a controller adds the arm's weight."""
     robot = compared.samples.recordings.robot
     size = float(np.linalg.norm(robot.gravity))
-    for side in SIDES.values():
-        for sign in (1.0, -1.0):
-            gravity = sign * size * np.eye(3)[side]
-            if size and not np.allclose(gravity, robot.gravity, atol=0.1 * size):
-                after = compared.with_robot(gravity=gravity).nrmse(Reading.as_given(robot.n))
-                vector = ", ".join(f"{x + 0.0:.3g}" for x in gravity)
-                said = f'the torques fit with "gravity": [{vector}], as if the arm were mounted otherwise'
-                yield Hypothesis((Mistake("robot", (), said),), after)
+    vectors = [sign * size * np.eye(3)[side] for side in SIDES.values() for sign in (1.0, -1.0)]
+    others = [gravity for gravity in vectors if size and not np.allclose(gravity, robot.gravity, atol=0.1 * size)]
+    for gravity in [*others, *([np.zeros(3)] if size else [])]:
+        after = compared.with_robot(gravity=gravity).nrmse(Reading.as_given(robot.n))
+        vector = ", ".join(f"{x + 0.0:.3g}" for x in gravity)
+        why = (
+            "if the arm were mounted otherwise"
+            if gravity.any()
+            else "where a controller adds the arm's weight to the torques recorded"
+        )
+        equals = () if gravity.any() else ("springs or counterweights carry the arm's weight",)
+        mistake = Mistake("robot", (), f'the torques fit with "gravity": [{vector}], as {why}')
+        yield Hypothesis((mistake,), after, equals=equals)
 
 
 def _payload(compared: Comparison) -> Iterator[Hypothesis]:

@@ -12,16 +12,22 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import faults, plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
+from rrr_oc.recordings.gains import with_gains
 from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Header, RecordingEntry, Spring, read_header
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
-from rrr_oc.recordings.stamps import spread
+from rrr_oc.recordings.stamps import at_every_row, between_updates, even, spread
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 from rrr_oc.storage import resolved
 
 RATES = ("dq_", "ddq_")
+SHARED = 0.5  # share of rows with all signals below which these are sampled at times of their own; doubled, rows marked as wrong are filled
+JUMP, LEAST_JUMP = (
+    10.0,
+    0.02,
+)  # times its fastest steps, and [rad], by which a position jumps; doubled, small jumps pass for motion
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -49,7 +55,8 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     )
     loaded = _of_session(loaded)
     plausibility.check_alike({str(folder / r.file): float(np.median(np.diff(r.t))) for r in loaded})
-    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+    recordings = RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+    return with_gains(file, recordings)
 
 
 def _of_session(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
@@ -79,15 +86,19 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
     recorded = tuple(f"{EFFORTS.get(header.torque, 'tau')}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = np.array(table.columns(used))
-    values[used.index("t")], batch = spread(values[used.index("t")])
+    mended = dict[str, str]()
+    batch = _settle_times(used, values, mended)
+    _drop_spikes(used, values, robot.joints, mended)
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
         columns = dict(zip(used, values[:, rows], strict=True))
         plausibility.check_time(str(path), columns["t"])
         columns.setdefault("payload", np.full(len(rows), entry.payload))
         plausibility.check_magnitudes(str(path), columns)
-        segments = split(columns["t"])
+        segments = _split(columns, robot.joints, mended)
         turned = _unwrap(columns, robot.joints, segments)
+        _fill_updates(columns, robot.joints, segments, mended)
+        _even(columns, robot.joints, segments, mended)
         _couple(columns, robot.joints, recorded, header)
         loop = header.loop(entry)
         if loop is not None:
@@ -100,12 +111,12 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         tau = signal = np.array([columns[name] for name in recorded])
         if loop is not None:
             plausibility.check_commands(str(path), robot, signal, q)
-            tau = loop.torque(signal, q, dq)
+            tau = loop.torque(signal, q, dq)  # NaN without a kp
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
-            command=None if loop is None else signal, loop=loop,
+            mended=mended, command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -184,6 +195,62 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
     return rows
 
 
+def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str]) -> float:
+    """Give every row a time of its own, and every row the signals that are sampled at other times; returns the samples of a batch.
+
+    Rows that stand there again, with all they hold, have none.
+    """
+    t = values[used.index("t")]
+    if not len(t):
+        return 1.0
+    same = (values[:, 1:] == values[:, :-1]) | (np.isnan(values[:, 1:]) & np.isnan(values[:, :-1]))
+    again = np.append(False, same.all(axis=0))
+    if again.any() and np.array_equal(again[1:], np.diff(t) == 0):
+        t[again] = np.nan
+        mended["again"] = f"{np.sum(again)} rows stand there again and are left out"
+    known = np.isfinite(t)
+    t[known], batch = spread(t[known])
+    needed = [i for i, name in enumerate(used) if not name.startswith(RATES) and name != "t"]
+    filled = []
+    if np.mean(np.isfinite(values[needed]).all(axis=0)[known]) < SHARED:
+        for i in needed:
+            given = values[i].copy()
+            values[i] = at_every_row(t, given, used[i].startswith("q_"))
+            filled += [used[i]] * (not np.array_equal(given, values[i], equal_nan=True))
+    if filled:
+        mended["rates"] = f"{', '.join(filled)} are sampled at times of their own, and taken between these at those of all rows"
+    return batch
+
+
+def _split(columns: Mapping[str, np.ndarray], joints: Sequence[str], mended: dict[str, str]) -> tuple[slice, ...]:
+    """Segments between gaps in time, and between jumps of a position that no motion makes, other than by whole turns."""
+    pieces, jumps = list[slice](), list[int]()
+    for s in split(columns["t"]):
+        steps = np.abs(np.diff(np.unwrap([columns[f"q_{joint}"][s] for joint in joints])))
+        beside = np.maximum(np.pad(steps, ((0, 0), (1, 0)))[:, :-1], np.pad(steps, ((0, 0), (0, 1)))[:, 1:])
+        fastest = np.quantile(steps, 0.99, axis=1, keepdims=True) if s.stop - s.start > 1 else np.inf
+        inside = (
+            np.flatnonzero(np.any(steps > np.maximum(JUMP * np.maximum(fastest, beside), LEAST_JUMP), axis=0)) + s.start + 1
+        )
+        jumps += inside.tolist()
+        pieces += [slice(a, b) for a, b in itertools.pairwise([s.start, *inside.tolist(), s.stop])]
+    if jumps:
+        mended["jumps"] = (
+            f"positions jump at {columns['t'][jumps[0]]:.4g} s, where a new piece begins; no derivative crosses it"
+        )
+    return tuple(pieces)
+
+
+def _drop_spikes(used: Sequence[str], values: np.ndarray, joints: Sequence[str], mended: dict[str, str]) -> None:
+    """Put NaN into the place of positions that jump away and back."""
+    for name in (f"q_{joint}" for joint in joints):
+        q = values[used.index(name)]
+        found = faults.spikes(q) if len(q) >= LEAST_ROWS and np.isfinite(q).all() else np.zeros(len(q), bool)
+        if found.any():
+            q[found] = np.nan
+            mended[f"spikes of {name}"] = f"{name} jumps away and back in {np.sum(found)} rows, which are left out"
+
+
 def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:
     return UserError(f"{table.path}, line {table.line(row)}, column {column!r}: found {found}; {allowed}")
 
@@ -195,6 +262,31 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     for name in turned:
         columns[name] = np.unwrap(columns[name])
     return tuple(turned)
+
+
+def _fill_updates(
+    columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice], mended: dict[str, str]
+) -> None:
+    """Put what positions are between their updates into the place of repeated values."""
+    longest = 0.0
+    for name in (f"q_{joint}" for joint in joints):
+        filled = [between_updates(columns["t"][s], columns[name][s]) for s in segments]
+        if any(usual for _, usual in filled):
+            columns[name] = np.concatenate([q for q, _ in filled])
+            longest = max(longest, *(usual for _, usual in filled))
+    if longest:
+        mended["updates"] = (
+            f"positions are updated every {1000 * longest:.3g} ms and repeated until then; a spline through the updates is used"
+        )
+
+
+def _even(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice], mended: dict[str, str]) -> None:
+    """Take the jitter from times where positions show that it is the stamps' alone."""
+    columns["t"], jitter = even(columns["t"], np.array([columns[f"q_{joint}"] for joint in joints]), segments)
+    if jitter:
+        mended["jitter"] = (
+            f"stamps jitter by {1000 * jitter:.2g} ms about even times, at which positions are smoother; these are used"
+        )
 
 
 def _couple(columns: dict[str, np.ndarray], joints: Sequence[str], recorded: Sequence[str], header: Header) -> None:
@@ -317,5 +409,5 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
     if recording.loop is None:
         plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
     else:
-        plausibility.check_loop(where, robot, r.tau)
-    plausibility.check_changes(where, r.q, r.tau)
+        plausibility.check_loop(where, robot, np.nan_to_num(r.tau))
+    plausibility.check_changes(where, r.q, np.where(np.isnan(r.tau), r.q, r.tau))

@@ -1,8 +1,8 @@
 """Recordings of a robot's motion and torques, as data."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings import faults, plausibility
-from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Spring, Torque
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Loop, Spring, Torque
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
 BEYOND = 0.01  # share of rows in which a loop's torque beyond the joint's limit is said; doubled, more of them pass unsaid
@@ -35,6 +34,7 @@ class Recording(Motion):
         faults: What looks wrong in the file's positions and speeds, a part of a sentence each.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
+        mended: What the logger did to the file and the reader has undone, a part of a sentence each, by kind.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -52,6 +52,7 @@ class Recording(Motion):
     faults: tuple[str, ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
     batch: float = 1.0
+    mended: Mapping[str, str] = field(default_factory=dict)
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -81,6 +82,7 @@ class RecordingSet:
         torque_constant: Per joint [Nm/A at the output]; None where it is not given.
         recordings: The recordings, in the order of the file.
         path: The folder.
+        estimated_kp: Of a loop, by joint, where it is not known [Nm/rad]; it is in the recordings.
     """
 
     robot: Robot
@@ -91,6 +93,7 @@ class RecordingSet:
     torque_constant: tuple[float | None, ...]
     recordings: tuple[Recording, ...]
     path: Path
+    estimated_kp: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -117,12 +120,15 @@ class RecordingSet:
             nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)
             rows = sum(len(r.t) for r in incomplete) + nan + short
             notes.append(
-                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short "
-                "for a derivative)"
+                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN or of unknown time, "
+                f"{short} in pieces too short for a derivative)"
             )
         batched = [r for r in self.recordings if r.batch > 1]
         if batched:
             notes.append(f"{_named(batched)}: samples are stamped in batches of {batched[0].batch:g}; their times are spread")
+        for kind in dict.fromkeys(kind for r in self.recordings for kind in r.mended):
+            some = [r for r in self.recordings if kind in r.mended]
+            notes.append(f"{_named(some)}: {some[0].mended[kind]}")
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():
@@ -130,6 +136,11 @@ class RecordingSet:
                 name.startswith("q_") for name in names
             )
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
+        if self.estimated_kp:
+            gains = ", ".join(f"{kp:.3g} Nm/rad for {joint}" for joint, kp in self.estimated_kp.items())
+            notes.append(
+                f"kp is not known: {gains}, by the masses of the robot's file, with which all torques grow in proportion"
+            )
         notes += [*self._of_rates(), *self._doubts()]
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if default and any(np.any(r.payload > 0) for r in self.recordings):
@@ -194,7 +205,7 @@ class RecordingSet:
                 size, share = max((found for _, found in cut), key=lambda found: found[1])
                 where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
                 doubts.append(
-                    f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger; a NaN there leaves rows out"
+                    f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger there; these rows of the joint do not count"
                 )
         for later, earlier, share in faults.repeated([np.concatenate([r.q, r.tau]) for r in self.recordings]):
             names = self.recordings[later].file, self.recordings[earlier].file

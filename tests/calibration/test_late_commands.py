@@ -11,6 +11,7 @@ from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.storage import write_csv
 
@@ -95,3 +96,29 @@ def test_a_delay_of_commands_is_no_viscous_friction(tmp_path, wait):
         assert interval[0] <= true <= interval[1], name
     assert found["viscous_friction"].value == pytest.approx(VISCOUS, abs=0.05)
     assert found["command_delay"].value == pytest.approx(wait, abs=0.002)
+
+
+@pytest.mark.parametrize("gains", [{"kp": None}, {"kp": {"j1": None}, "kd": {"j1": KD}}])
+def test_a_kp_that_is_not_known_follows_from_the_masses(tmp_path, gains):
+    """With intervals that hold the truth and are wider than those of a known kp; errors of the file's masses are errors of kp."""
+    known = calibrate(load_recordings(written(tmp_path, 0.02)))
+    header = json.loads((tmp_path / "recordings.json").read_text())
+    (tmp_path / "recordings.json").write_text(json.dumps(header | gains))
+    recordings = load_recordings(tmp_path)
+    assert recordings.estimated_kp["j1"] == pytest.approx(KP, rel=0.02)
+    assert any(note.startswith("kp is not known: 18") for note in recordings.notes)
+    found = {t.effect.name: t.estimates[0] for t in calibrate(recordings).terms}
+    sure = {t.effect.name: t.estimates[0] for t in known.terms}
+    truth = {"dry_friction": DRY, "viscous_friction": VISCOUS, "armature": ROTOR, "command_delay": 0.02, "controller_gain": 1.0}
+    assert set(found) == set(truth)
+    for name, true in truth.items():
+        low, high = found[name].interval or (np.nan, np.nan)
+        assert low <= true <= high, name
+        assert name == "controller_gain" or high - low > 0.9 * np.diff(sure[name].interval or (0, np.inf))
+
+
+def test_neither_kp_nor_masses_known_is_an_error(tmp_path):
+    header = json.loads((written(tmp_path, 0.0) / "recordings.json").read_text()) | {"kp": None, "inertial": "identify"}
+    (tmp_path / "recordings.json").write_text(json.dumps(header))
+    with pytest.raises(UserError, match="kp of j1 is not known, and the masses are not either"):
+        load_recordings(tmp_path)

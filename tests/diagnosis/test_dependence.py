@@ -3,9 +3,12 @@
 import pytest
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
-from rrr_oc.diagnosis.claims.dependence import variables
+from rrr_oc.calibration.estimator.left_out import Fall
+from rrr_oc.diagnosis.claims.dependence import once_of_each, variables
+from rrr_oc.diagnosis.result import Finding
 from rrr_oc.effects import CATALOGUE, Delay
 from rrr_oc.effects.base import SOUGHT
+from rrr_oc.effects.black_box.empirical import Empirical
 
 LAWS = {name: kind for name, kind in CATALOGUE.items() if kind.role in SOUGHT and kind.role != "black_box"}
 SIGNALS = {"q", "dq", "ddq", "load", "sign", "time", "spring"}
@@ -73,3 +76,16 @@ def test_every_law_depends_on_something_of_the_arm(name):
 def test_a_law_depends_on_its_variables_wherever_its_torque_is(name, values, expected):
     """Springs that pull beyond 1 rad alone, as of a joint that moves from -3 to -1 rad, and a gain of the speeds alone."""
     assert set(variables(term(name, **values), N)) == expected
+
+
+def test_functions_of_the_same_variables_at_a_joint_are_told_once():
+    """With the largest of them; of other joints, other variables and laws each by itself."""
+
+    def finding(effect, size: float) -> Finding:
+        return Finding(Term(effect, ()), 1.0, 9.0, 0.0, innovations=Fall(0, size, size, size, 1.0))
+
+    load = [Empirical((0,), (("load", 0),), (-1.0,), (1.0,), (order,)) for order in (3, 8)]
+    others = [Empirical((1,), (("load", 1),), (-1.0,), (1.0,), (3,)), Empirical((0,), (("q", 0),), (-1.0,), (1.0,), (3,))]
+    law = CATALOGUE["torque_offset"]((0,))
+    found = once_of_each([finding(load[0], 0.1), finding(load[1], 0.2), *(finding(e, 0.05) for e in (*others, law))])
+    assert [f.with_function for f in found] == [True, False, False, False, False]

@@ -17,7 +17,7 @@ from rrr_oc.calibration.samples import prepare
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects.sensor.controller_gain import ControllerGain
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import Loop
 from rrr_oc.recordings.reader import load_recordings
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed

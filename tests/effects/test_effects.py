@@ -56,7 +56,7 @@ from rrr_oc.model.recorded_physics import states_along
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.smooth import TURNS, ramp, ramp_integral
 from rrr_oc.numerics.smooth import sign as smooth_sign
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import Loop
 from rrr_oc.robot.robot import load_robot
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]

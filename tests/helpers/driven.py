@@ -13,7 +13,7 @@ from recorded import Plant, as_set, multisine
 
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
-from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.header import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 STEP = 1e-3  # [s] of the engine

@@ -10,8 +10,8 @@ from recorded import Plant, multisine, real, record
 
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.consistency import check_consistency
+from rrr_oc.recordings.header import Loop
 from rrr_oc.recordings.importers import import_csv
-from rrr_oc.recordings.loop import Loop
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import save_recordings
@@ -114,9 +114,6 @@ def without(columns: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
 
 
 MISTAKES = {
-    "no kp": ({"kp": None}, None, "kp: is missing; torque 'command' needs it: a number of Nm/rad, or one per joint by name"),
-    "no kd": ({"kd": None}, None, "kd: is missing"),
-    "kp of one": ({"kp": {"joint1": 2.0}}, None, "kp: no number for joint2, joint3; one for each of joint1, joint2, joint3"),
     "kd of no joint": ({"kd": {**KD, "wrist": 1.0}}, None, "kd: unknown joint 'wrist'"),
     "kp of 0": ({"kp": 0.0}, None, "kp: found 0 for 'joint1'; a finite number of Nm/rad above 0 is required"),
     "kd below 0": ({"kd": -1.0}, None, "kd: found -1 for 'joint1'; a finite number of Nm s/rad of 0 or more is required"),
@@ -219,7 +216,7 @@ def test_columns_of_ones_own_are_imported(tmp_path, kp):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (MAPPING.replace("kp = KP\n", ""), "kp: is missing"),
+        (MAPPING.replace("kp = KP\n", "kp = -1.0\n"), "kp: found -1"),
         (MAPPING.replace("KP", "{ elbow = 1.0 }"), "kp: unknown joint 'elbow'"),
         (
             MAPPING.replace("KP", "20.0").replace('torque = "command"', 'torque = "motor"'),

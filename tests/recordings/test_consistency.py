@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commands import rrr_oc
-from swung import CENTRE, JOINTS, columns, without, written
+from swung import CENTRE, JOINTS, PLANT, columns, without, written
 
 from rrr_oc.recordings.consistency import check_consistency
 from rrr_oc.recordings.reader import load_recordings
@@ -198,6 +198,17 @@ def test_a_wrong_robot_is_no_mistake_in_columns(tmp_path, name):
         found = replace(found, robot=replace(robot, inertial=light) if change[0] != "axis" else replace(robot, axes=turned))
     first = [doubt for doubt in check_consistency(found).doubts if doubt.kind != "excitation"]
     assert [(doubt.kind, doubt.said.startswith(said)) for doubt in first] == [("robot", True)]
+
+
+def test_torques_without_the_weight_of_the_arm_are_named(tmp_path):
+    """As those of a controller that adds the weight by itself; springs that carry it would look alike."""
+    q = np.array([RIGHT[f"q_{joint}"] for joint in JOINTS])
+    weight = PLANT.load(q, 0 * q, 0 * q)
+    (doubt,) = doubts(tmp_path, a=RIGHT | {f"tau_{joint}": RIGHT[f"tau_{joint}"] - weight[j] for j, joint in enumerate(JOINTS)})
+    assert doubt.said.startswith(
+        'the torques fit with "gravity": [0, 0, 0], as where a controller adds the arm\'s weight to the torques'
+    )
+    assert doubt.rivals == ("springs or counterweights carry the arm's weight",)
 
 
 def test_all_torques_of_the_opposite_sign_are_one_mistake(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from swung import JOINTS, PLANT, columns, without, written
 
 from rrr_oc.calibration.calibrate import calibrate
@@ -111,7 +112,7 @@ def test_a_recording_of_zeros_is_refused(load):
 
 
 def test_stamps_of_batches_are_spread(load):
-    """Four samples at a time, with one stamp or a microsecond apart; then some samples are lost; and stamps that jitter are left alone."""
+    """Four samples at a time, with one stamp or a microsecond apart; then some samples are lost."""
     right = without(("dq", "ddq"), columns())
     t = right["t"]
     last = np.minimum((np.arange(len(t)) // 4) * 4 + 3, len(t) - 1)
@@ -121,7 +122,124 @@ def test_stamps_of_batches_are_spread(load):
         np.testing.assert_allclose(found.recordings[0].t, t, atol=1e-3)
     lost = np.sort(np.random.default_rng(4).choice(len(t), len(t) - 30, replace=False))
     some = {name: values[lost] for name, values in right.items()}
-    (recording,) = load(a=some | {"t": t[last][lost] + 1e-6 * (lost % 4)}).recordings
-    np.testing.assert_allclose(recording.t, t[lost], atol=0.021)  # of a batch of which two are lost
-    jittered = t + np.random.default_rng(5).uniform(0, 0.004, len(t))
-    np.testing.assert_array_equal(load(a=right | {"t": jittered}).recordings[0].t, jittered)
+    batch = lost // 4
+    handed = t[lost][np.searchsorted(batch, batch, "right") - 1]  # the time of a batch's last sample that arrived
+    (recording,) = load(a=some | {"t": handed + 1e-6 * (lost % 4)}).recordings
+    known = np.isin(np.round(100 * t[lost]), np.round(100 * recording.t))
+    assert recording.dropped == np.sum(~known) <= 3 * 30  # of a batch that lost one, the last sample's time alone is known
+    np.testing.assert_allclose(recording.t, t[lost][known], atol=1e-4)
+
+
+def test_stamps_that_jitter_are_evened(load):
+    """Where samples are even and stamps are late by chance, also if some are lost; not where the sampling itself is uneven."""
+    right, rng = without(("dq", "ddq"), columns()), np.random.default_rng(5)
+    t = right["t"]
+    kept = np.sort(rng.choice(len(t), len(t) - 30, replace=False))
+    late = t + rng.uniform(0, 0.004, len(t))
+    found = load(a={name: values[kept] for name, values in (right | {"t": late}).items()})
+    np.testing.assert_allclose(found.recordings[0].t - t[kept], 0.002, atol=2e-4)
+    assert "a.csv: stamps jitter by 1.1 ms about even times, at which positions are smoother; these are used" in found.notes
+    uneven = {name: CubicSpline(t, values)(late[:-1]) for name, values in right.items()}
+    found = load(a=uneven)
+    np.testing.assert_array_equal(found.recordings[0].t, uneven["t"])
+    assert found.notes == ()
+
+
+def test_positions_that_are_repeated_until_the_next_update_have_none_of_the_steps(load):
+    """Updates at 60 Hz in rows at 100 Hz, of an encoder of 16 bit; rows in which each position is new are not touched."""
+    right = without(("dq", "ddq"), columns())
+    t, step = right["t"], 2 * np.pi / 2**16
+    updated = np.floor(60 * t + 1e-9) / 60
+    spoilt, exact = dict(right), dict(right)
+    for joint in JOINTS:
+        exact[f"q_{joint}"] = np.round(right[f"q_{joint}"] / step) * step
+        spoilt[f"q_{joint}"] = np.round(CubicSpline(t, right[f"q_{joint}"])(updated) / step) * step
+    found = load(a=spoilt)
+    assert found.notes == (
+        "a.csv: positions are updated every 16.7 ms and repeated until then; a spline through the updates is used",
+    )
+    late = (t[:, None] - np.linspace(0, 0.01, 21)).T  # by how much is not known
+    for joint, q in zip(JOINTS, found.recordings[0].q, strict=True):
+        inside = slice(10, -10)
+        true = CubicSpline(t, right[f"q_{joint}"])
+        assert (
+            min(np.max(np.abs(true(x) - q)[inside]) for x in late)
+            < 1.5e-3
+            < np.max(np.abs(right[f"q_{joint}"] - spoilt[f"q_{joint}"]))
+        )
+    assert load(a=exact).notes == ()
+
+
+def test_positions_that_jump_away_and_back_are_left_out(load):
+    """Bits read wrongly, also two samples in a row; and no fast motion, coarse encoder or whole turn is taken for one."""
+    right = without(("dq", "ddq"), columns())
+    spoilt = right["q_joint2"].copy()
+    spoilt[[100, 500, 501, 900]] += np.array([0.2, -0.3, -0.3, 1.0])
+    found = load(a=right | {"q_joint2": spoilt})
+    assert "a.csv: q_joint2 jumps away and back in 4 rows, which are left out" in found.notes
+    np.testing.assert_allclose(found.recordings[0].q[1], np.delete(right["q_joint2"], [100, 500, 501, 900]), atol=1e-9)
+    for step in (1e-6, 2e-3, 2e-2):
+        coarse = right | {f"q_{joint}": np.round(right[f"q_{joint}"] / step) * step for joint in JOINTS}
+        assert not load(a=coarse).recordings[0].mended
+    turned = right | {"q_joint2": np.where(right["t"] > 5, right["q_joint2"] + 2 * np.pi, right["q_joint2"])}
+    assert not load(a=turned).recordings[0].mended
+
+
+@pytest.mark.parametrize("fault", ["cut off", "jitter", "repeated"])
+def test_faults_of_loggers_leave_the_calibration_as_it_is(load, fault):
+    """Viscous friction and rotors are those of the plant."""
+    right = without(("dq", "ddq"), columns(20.0))
+    t, spoilt = right["t"], dict(right)
+    if fault == "cut off":
+        limit = 0.7 * np.max(np.abs(right["tau_joint2"]))
+        spoilt["tau_joint2"] = np.clip(right["tau_joint2"], -limit, limit)
+    elif fault == "jitter":
+        spoilt["t"] = t + np.random.default_rng(2).uniform(0, 0.005, len(t))
+    else:
+        updated = np.floor(60 * t + 1e-9) / 60
+        spoilt |= {f"q_{joint}": CubicSpline(t, right[f"q_{joint}"])(updated) for joint in JOINTS}
+    model = calibrate(load(a=spoilt))
+    rotors, friction = (
+        [e.value for term in model.terms if term.effect.name == name for e in term.estimates]
+        for name in ("armature", "viscous_friction")
+    )
+    np.testing.assert_allclose(friction, PLANT.viscous, rtol=0.06)
+    np.testing.assert_allclose(rotors, PLANT.armature, atol=0.03)
+
+
+def test_signals_of_other_rates_and_times_are_read_at_all_rows(load):
+    """Positions and torques in turn, as of messages that were merged; torques at a fifth of the rate; and rows marked as wrong stay out."""
+    right = without(("dq", "ddq"), columns())
+    number = np.arange(len(right["t"]))
+    torque = {name for name in right if name.startswith("tau_")}
+    for kept in (number % 2, number % 5 == 0):
+        spoilt = {name: np.where(kept == (name in torque), x, np.nan) if name != "t" else x for name, x in right.items()}
+        spoilt = {name: right[name] if name[:2] == "q_" and kept.dtype == bool else x for name, x in spoilt.items()}
+        found = load(a=spoilt)
+        (r,) = found.recordings
+        assert any("are sampled at times of their own" in note for note in found.notes)
+        assert len(r.t) > len(number) - 10
+        at = np.searchsorted(right["t"], r.t)
+        np.testing.assert_allclose(r.q, [right[f"q_{joint}"][at] for joint in JOINTS], atol=1e-5)
+    wrong = {
+        name: np.where((number > 200) & (number < 900), np.nan, x) if name == "tau_joint2" else x for name, x in right.items()
+    }
+    assert load(a=wrong).recordings[0].dropped == 699
+
+
+def test_rows_that_stand_there_again_are_left_out(load):
+    found = load(a={name: np.repeat(x, 2) for name, x in without(("dq", "ddq"), columns()).items()})
+    assert "a.csv: 1200 rows stand there again and are left out" in found.notes
+    assert len(found.recordings[0].t) == 1200
+
+
+def test_no_derivative_crosses_a_jump_or_takes_a_stop_for_repeated_positions(load):
+    """A logger that has zeros at first, and a motion that stops for 4 s."""
+    right = without(("dq", "ddq"), columns())
+    t = right["t"]
+    found = load(a={name: x if name == "t" else np.where(t < 0.2, 0.0, x) for name, x in right.items()})
+    assert found.recordings[0].segments == (slice(0, 20), slice(20, 1200))
+    assert "a.csv: positions jump at 0.2 s, where a new piece begins; no derivative crosses it" in found.notes
+    stopped = np.interp(t, [0, 4, 8, 12], [0, 4, 4, 8])
+    still = {name: x if name == "t" else CubicSpline(t, x)(stopped) for name, x in right.items()}
+    assert not load(a=still).recordings[0].mended

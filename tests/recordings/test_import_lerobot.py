@@ -207,7 +207,7 @@ GAINS = ["--kp", "300", "--kd", "joint1=2,joint2=1,joint3=0"]
         ([], "no feature is named as torques or currents"),
         (["--kp", "300"], "--kp is given and --kd is not; a loop that follows commands needs both"),
         (["--kp", "much", "--kd", "1"], "--kp is 'much'; a number, or JOINT=NUMBER, comma-separated, is required"),
-        (["--kp", "300", "--kd", "joint1=2"], "kd: no number for joint2, joint3"),
+        (["--kp", "300", "--kd", "wrist=2"], "kd: unknown joint 'wrist'"),
         (GAINS, None),
     ],
 )

@@ -6,6 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from validation.chains.faults import FAULTS
+
 FINE = 2000.0  # [Hz], rate of exact signals
 
 
@@ -30,6 +32,7 @@ class Chain:
         jitter: Longest time by which a row is stamped late [s].
         dropped: Share of rows that are lost.
         batch: Rows that arrive, and are stamped, together.
+        fault: Of the logger, a name of `faults.FAULTS`; none unless given. Then no speeds are written down.
         held: Time for which a controller holds a torque, which is written down when it begins [s]; only told, the plant does it.
     """
 
@@ -51,6 +54,7 @@ class Chain:
     dropped: float = 0.0
     batch: int = 1
     held: float = 0.0
+    fault: str = ""
 
     @property
     def torque_lag(self) -> float:
@@ -110,7 +114,12 @@ def measure(
     torque = held(t, torque, at) + chain.torque_noise * size * rng.standard_normal((len(q), at.size))
     walk = np.cumsum(rng.standard_normal((len(q), at.size)), axis=1) / np.sqrt(chain.rate)
     torque = torque + chain.drift * size * walk
-    return Rows(stamps, rows, dq, rounded(torque, chain.torque_step * size) if chain.torque_step else torque, at)
+    torque = rounded(torque, chain.torque_step * size) if chain.torque_step else torque
+    for fault in FAULTS:
+        if fault.__name__ == chain.fault:
+            rows, torque = fault(at, rows, torque, rng)
+            dq = None
+    return Rows(stamps, rows, dq, torque, at)
 
 
 def held(t: np.ndarray, x: np.ndarray, at: np.ndarray) -> np.ndarray:

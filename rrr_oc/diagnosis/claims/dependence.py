@@ -174,13 +174,13 @@ def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Find
         else:
             kept[kept.index(f)] = replace(f, reach=own.reach)
     if not new:
-        return complete, kept
+        return complete, once_of_each(kept)
     structure = (*(offered[g.term] for g in kept), *(a for a, _ in new))
     fitted = search.fit(complete, near.at(structure, left_out.hyper))
     some = [replace(g, term=t) for g, t in zip(kept, fitted.extra, strict=False)]
     every = further(search, fitted, len(kept))
     likes = {t: like for t, (_, like) in zip(fitted.extra[len(kept) :], new, strict=True)}
-    return fitted, [*some, *(replace(f, like=likes[f.term]) for f in every)]
+    return fitted, once_of_each([*some, *(replace(f, like=likes[f.term]) for f in every)])
 
 
 def _is_better(search: StructureSearch, complete: Fitted, place: Place, structure: Structure) -> bool:
@@ -198,9 +198,29 @@ def _most_like(
     for s in sorted(laws, key=lambda s: -s.reach)[:LIKE]:
         fitted = search.fit(complete, place.near.at((*others, s.addition), place.left_out.hyper))
         left = place.left_out.of_both(fitted.residual)
-        found.append(Like(intervals(fitted).terms[-1], reach(*map(place.of_joint, (left, least, before)))))
+        law = intervals(fitted).terms[-1]
+        if not _may_be_none(law):
+            found.append(Like(law, reach(*map(place.of_joint, (left, least, before)))))
     like = max(found, key=lambda one: one.reach, default=None)
     return like if like is not None and like.reach > 0 else None
+
+
+def _may_be_none(law: Term) -> bool:
+    """Whether the intervals of all amplitudes of a law hold 0."""
+    ends = [e.interval for p, e in zip(law.effect.parameters, law.estimates, strict=True) if p.name in law.effect.amplitudes]
+    return bool(ends) and all(x is not None and x[0] <= 0 <= x[1] for x in ends)
+
+
+def once_of_each(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings of which functions of the same variables at one joint are told once, with the largest of them."""
+    result, told = list(findings), set[object]()
+    for k in sorted(range(len(result)), key=lambda k: -result[k].of_torque):
+        effect = result[k].term.effect
+        if isinstance(effect, BlackBox):
+            key = effect.joints, effect.depends_on, result[k].term.groups
+            result[k] = replace(result[k], with_function=result[k].with_function or key in told)
+            told.add(key)
+    return result
 
 
 def _simplest(functions: Sequence[Shape]) -> Shape | None:

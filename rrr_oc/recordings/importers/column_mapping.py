@@ -201,7 +201,7 @@ def understood(where: str | Path, mapping: ColumnMapping, robot: str | Path) -> 
         **{key: gain for key, gain in (("kp", mapping.kp), ("kd", mapping.kd)) if gain is not None},
     }
     try:
-        check_gains(mapping.torque, mapping.kp, mapping.kd, joints)
+        check_gains(mapping.kp, mapping.kd, joints)
     except ValueError as error:
         raise UserError(f"{where}: {error}") from None
     return Understood(str(where), sources, header, mapping.rate_Hz)

@@ -6,6 +6,7 @@ from validation.chains.families import (
     held_arm,
     late_arm,
     leg,
+    loggers,
     sensor_arm,
     servos,
 )
@@ -13,6 +14,6 @@ from validation.chains.families.family import Family
 
 FAMILIES: dict[str, Family] = {
     module.__name__.rsplit(".", 1)[1]: module.FAMILY
-    for module in (held_arm, late_arm, direct_drive, servos, leg, current_arm, sensor_arm)
+    for module in (held_arm, late_arm, direct_drive, servos, leg, current_arm, loggers, sensor_arm)
 }
 RESERVED = ("sensor_arm",)  # for final examinations only: left out unless it is named
