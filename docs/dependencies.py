@@ -75,7 +75,9 @@ lie in the wheels of these versions say:
 
 ## What the wheel of this package contains
 
-Its Python files and data are this project's. Its extensions `_rigid_body` and `_along` are compiled with headers of Pinocchio
+Its Python files and data are this project's, but for `rrr_oc/report/templates/plotly-basic.min.js`: that is plotly.js in its part with
+lines and markers (MIT), as npm has it in `plotly.js-basic-dist-min` 4.1.1, unchanged, with its licence beside it; every page of a report
+contains it. Its extensions `_rigid_body` and `_along` are compiled with headers of Pinocchio
 (BSD-3-Clause), Boost (BSL-1.0), Eigen (MPL-2.0, unchanged; `EIGEN_MPL2_ONLY` leaves out its parts under the LGPL) and CasADi (LGPL-3.0,
 unchanged); templates and inline functions of these are in the compiled files. Whoever passes the wheel on keeps their notices: the
 headers, which have them, are in the distributions `libpinocchio`, `cmeel-boost`, `cmeel-eigen` and `casadi` of the versions below. The

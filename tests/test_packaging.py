@@ -1,6 +1,7 @@
 """The package's metadata against the repository and what is installed: constraints and licences of dependencies, the cited version,
 the hooks and `make lint`."""
 
+import hashlib
 import importlib.util
 import re
 import subprocess
@@ -17,6 +18,7 @@ from packaging.utils import canonicalize_name
 import rrr_oc
 from docs import dependencies
 from rrr_oc.errors import UserError
+from rrr_oc.report.pages.page import PLOTLY
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -132,6 +134,13 @@ def test_what_is_installed_fits_together():
 
 def test_the_page_of_licences_is_that_of_what_is_installed():
     assert dependencies.PAGE.read_text() == dependencies.page(), "python docs/dependencies.py writes it anew"
+
+
+def test_the_script_of_the_pages_is_the_one_that_is_documented():
+    folder = Path(rrr_oc.__file__).parent / "report" / "templates"
+    shipped = hashlib.sha256((folder / PLOTLY).read_bytes()).hexdigest()
+    assert f"`{shipped}`" in (ROOT / "docs" / "supply_chain.md").read_text()
+    assert "MIT License" in (folder / "plotly-basic.LICENSE").read_text()
 
 
 def test_an_unknown_licence_is_refused():

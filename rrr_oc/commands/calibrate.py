@@ -74,7 +74,10 @@ def calibrate(
 
 
 def _show_model(model: CalibratedModel, output: Output) -> None:
+    from rrr_oc.calibration.link_findings import OffLink
+    from rrr_oc.diagnosis.diagnosis_file import Measured
     from rrr_oc.report.diagnosis_words import if_identified, measured, off_links
+    from rrr_oc.schema import built
 
     table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
     for term in model.terms:
@@ -89,7 +92,9 @@ def _show_model(model: CalibratedModel, output: Output) -> None:
     for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
         joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
     output.show(joints)
-    for line in [*off_links(model.report), *if_identified(model.report), *measured(model.report)]:
+    links, unidentified = (built(model.report.get(key, []), list[OffLink]) for key in ("link_findings", "if_identified"))
+    measurement = built(model.report.get("measurement", {}), dict[str, Measured])
+    for line in [*off_links(links), *if_identified(unidentified), *measured(measurement)]:
         output.show(line)
     base = model.report.get("base_parameters", [])
     if base:

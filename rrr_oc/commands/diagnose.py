@@ -26,11 +26,12 @@ from rrr_oc.commands.shared import (
 from rrr_oc.errors import ends_at_once, noted
 from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
-from rrr_oc.schema import with_nan
+from rrr_oc.schema import built
 from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
 
 if TYPE_CHECKING:
+    from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
     from rrr_oc.diagnosis.result import Diagnosis
 
 app = typer.Typer(add_completion=False)
@@ -83,7 +84,7 @@ def diagnose(
         progress.tell("report")
         content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
-    _show_diagnosis(with_nan(content, DiagnosisFile), output)
+    _show_diagnosis(built(content, DiagnosisFile), output)
     for warning in unexplained_torques(found.model):
         output.note(f"{warning}.")
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")
@@ -101,14 +102,14 @@ def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
     return simulated
 
 
-def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
+def _show_diagnosis(found: DiagnosisFile, output: Output) -> None:
     from rrr_oc.effects.words import joint_words
     from rrr_oc.report import diagnosis_words as told
     from rrr_oc.report.pages.diagnosis_claims import small
 
     said = told.sentence(found)
     output.show(said)
-    for line in [*map(told.plain, told.missing(found)), *map(told.unexplained, found["unexplained"])]:
+    for line in [*map(told.plain, told.missing(found)), *map(told.unexplained, found.unexplained)]:
         output.show(line)
     header, body = told.rows(found)
     table = Table(*header)
@@ -134,8 +135,8 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         told.events,
         told.wanders,
         told.undecided,
-        told.off_links,
-        told.measured,
+        lambda found: told.off_links(found.link_findings),
+        lambda found: told.measured(found.measurement),
         told.on_prior,
         told.idle,
         told.not_claimed,
@@ -145,10 +146,10 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         output.show(line)
     errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
     errors.title = "Error held out, of the torque's standard deviation"
-    for joint, b in found["bootstrap"].items():
-        interval = b["ratio"]["interval"]
+    for joint, b in found.bootstrap.items():
+        interval = b.ratio.interval
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
-        errors.add_row(joint_words(joint), *(told.error(b[k]) for k in ("before", "after")), ratio)
+        errors.add_row(joint_words(joint), *(told.error(one) for one in (b.before, b.after)), ratio)
     output.show(errors)
     for line in told.extrapolated(found):
         output.show(line)

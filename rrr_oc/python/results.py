@@ -8,7 +8,7 @@ import html
 import shutil
 import weakref
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -23,15 +23,17 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.design_file import Configuration, DesignFile
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.effects.words import joint_words, listed, words
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import decrease
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report import design_words, diagnosis_words
-from rrr_oc.report.design_figures import draw_torques
+from rrr_oc.report.design_figures import draw_torques, read_motions
 from rrr_oc.report.diagnosis_figures import draw_prediction
 from rrr_oc.report.figures import COLOURS, plt, save_figure
 from rrr_oc.report.tables import spring_unit
+from rrr_oc.schema import built
 from rrr_oc.storage import read_npz, read_utf8
 
 Rows = tuple[list[str], list[list[Any]]]  # names of the columns, and their values row by row
@@ -171,8 +173,7 @@ class Model(Result):
         for term in self.model.terms:
             joints = ", ".join(self.model.joints[j] for j in term.effect.joints)
             for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
-                entry = {"value": e.value, "interval": e.interval, "unit": parameter.unit}
-                rows.append([term.effect.name, joints, parameter.name, *_in_degrees(entry)])
+                rows.append([term.effect.name, joints, parameter.name, *_in_degrees(e.value, e.interval, parameter.unit)])
         return ["effect", "joint", "parameter", "value", "low", "high", "unit"], rows
 
     def plot(self) -> Picture:
@@ -187,9 +188,14 @@ class Model(Result):
 class Diagnosis(Result):
     """A diagnosis: the content of diagnosis.json. Its table has a row for each parameter of what is missing."""
 
+    @cached_property
+    def file(self) -> DiagnosisFile:
+        """The content, typed."""
+        return built(self.content, DiagnosisFile)
+
     @property
     def said(self) -> str:
-        return diagnosis_words.sentence(self.content)
+        return diagnosis_words.sentence(self.file)
 
     @cached_property
     def model(self) -> Model:
@@ -198,19 +204,17 @@ class Diagnosis(Result):
 
     def table(self) -> Rows:
         rows = []
-        for e in diagnosis_words.missing(self.content):
-            lowered = e["lowers_error"]
-            size = [e["probability"], lowered["joint"], 100 * lowered["share"], ", ".join(e["indistinguishable_from"])]
-            for name, entry in e["parameters"].items():
-                joint = "" if e["joint"] is None else joint_words(e["joint"])
-                rows.append([words(e["effect"]), joint, name, *_in_degrees(entry), *size])
-        for link in self.content["link_findings"]:
-            for d in link["directions"]:
-                low, high = d["interval"]
-                name, fall = words(d["quantity"]), link.get("lowers_error")
-                size = [link["probability"], *([fall["joint"], 100 * fall["share"]] if fall else [None, None])]
-                others = ", ".join(link.get("indistinguishable_from") or ())
-                rows.append([f"link {link['link']}", d["joint"], name, d["value"], low, high, d["unit"], *size, others])
+        for e in diagnosis_words.missing(self.file):
+            lowered = e.lowers_error
+            size = [e.probability, lowered.joint, 100 * lowered.share, ", ".join(e.indistinguishable_from)]
+            joint = listed([joint_words(one) for one in diagnosis_words.joints_of(e)])
+            for name, entry in e.parameters.items():
+                rows.append([words(e.effect), joint, name, *_in_degrees(entry.value, entry.interval, entry.unit), *size])
+        for link in self.file.link_findings:
+            fall, others = link.lowers_error, ", ".join(link.indistinguishable_from or ())
+            size = [link.probability, *([fall.joint, 100 * fall.share] if fall else [None, None])]
+            for d in link.directions:
+                rows.append([f"link {link.link}", d.joint, words(d.quantity), d.value, *d.interval, d.unit, *size, others])
         header = ["what is missing", "joint", "parameter", "value", "low", "high", "unit", "probability"]
         return [*header, "lowers the error of", "by [%]", "as good"], rows
 
@@ -253,9 +257,7 @@ class Design(Result):
         """Torque over time without and with springs; raises `UserError` for a set of tasks."""
         if not self.study.single:
             raise UserError(f"{self.folder}: is a design for {len(self.study.tasks)} tasks; plot() draws that of one")
-        return Picture(
-            draw_torques(self.study, {name: read_npz(self.folder / f"{name}.npz") for name in self.study.configurations})
-        )
+        return Picture(draw_torques(self.study, read_motions(self.folder, self.study)))
 
 
 class Simulation(Result):
@@ -354,11 +356,10 @@ class Export(Result):
         return ["what", "file or reason"], [*files, *(["not in mjcf", reason] for reason in self.content["not_in_mjcf"])]
 
 
-def _in_degrees(entry: Mapping[str, Any]) -> list[Any]:
+def _in_degrees(value: Any, interval: Sequence[float] | None, unit: str) -> list[Any]:
     """Value, ends of the 95 % interval and unit of an estimate, angles in degrees; None where there is none."""
-    factor, unit = diagnosis_words.DEGREES.get(entry.get("unit", ""), (1.0, entry.get("unit", "")))
-    interval: Sequence[float | None] = entry.get("interval") or (None, None)
-    return [*(x * factor if isinstance(x, float) else x for x in (entry.get("value"), *interval)), unit.strip()]
+    factor, shown = diagnosis_words.DEGREES.get(unit, (1.0, unit))
+    return [*(x * factor if isinstance(x, float) else x for x in (value, *(interval or (None, None)))), shown.strip()]
 
 
 def _percent(value: float | None) -> str:

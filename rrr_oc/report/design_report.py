@@ -44,7 +44,7 @@ ORDERS = (
     "with gaps and none, where its cable gets slack or carries little. Compression springs need a rod or a tube. The masses do not act on "
     "the arm."
 )
-MOTION = ("torque", "spring", "angle", "speed")  # figures of the page
+MOTION = ("arm", "torque", "spring", "angle", "speed", "acceleration")  # figures of the page
 CERTIFICATES = "Certificates"  # the title from which on the command shows no more
 
 
@@ -58,11 +58,10 @@ def report(study: DesignFile) -> str:
 
 def sections(study: DesignFile) -> list[Section]:
     """What a report says after its verdict; a section without parts is left out."""
-    moved = Passage(figures=MOTION)
     made = [
+        Section("The motion and what the springs do", (Passage(figures=MOTION),)),
         Section("Optima", tuple(_optima(study))),
         Section("At equal cycle times", tuple(_at_times(study))),
-        Section("The motion and what the springs do", (moved, *_pictures(study))),
         Section("Hardware and durations", (_hardware(study), *_mounted(study), *_postures(study))),
         Section("Springs to order", tuple(_orders(study))),
         Section("Which springs are worth their price", tuple(_choices(study))),
@@ -94,12 +93,6 @@ def _at_times(study: DesignFile) -> Iterator[Passage]:
     table = cycle_times_table(study)
     if table is not None:
         yield Passage(said=(AT_TIMES,), table=table, note=AT_TIMES_NOTE, figures=("cycle_times",))
-
-
-def _pictures(study: DesignFile) -> Iterator[Passage]:
-    """Where the page shows the arm."""
-    for name in study.configurations if study.single else ():
-        yield Passage(of=name, figures=(f"arm_{name}",))
 
 
 def _hardware(study: DesignFile) -> Passage:
@@ -164,6 +157,8 @@ def _open(study: DesignFile) -> Iterator[Passage]:
 
 
 def _certificates(study: DesignFile) -> Iterator[Passage]:
+    if study.single and any(c.optima for c in study.configurations.values()):
+        yield Passage(figures=tuple(f"starts_{phase}" for phase in PHASES))
     for name, c in study.configurations.items():
         yield Passage(f"Certificate of {name}", points=tuple(say.certificate(study, c)), of=name)
         if not study.single:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.model_file import save_model
-from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.errors import noted
@@ -16,6 +16,7 @@ from rrr_oc.report.diagnosis_figures import draw_errors, draw_prediction
 from rrr_oc.report.figures import save_figure
 from rrr_oc.report.pages.diagnosis_curves import curves
 from rrr_oc.report.pages.diagnosis_page import FIGURES, write_diagnosis_page
+from rrr_oc.schema import built
 from rrr_oc.storage import new_files, write_json, write_npz, write_text
 
 # What `write_diagnosis` writes, and takes away of an earlier diagnosis
@@ -53,7 +54,7 @@ def _write(diagnosis: Diagnosis, folder: Path, found: dict[str, Any], command: s
         lines = [",".join(f"{value:.6f}" for value in row) for row in table]
         write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
     with noted(failed, "before_after.png"):
-        save_figure(draw_errors(found), folder / "before_after.png")
+        save_figure(draw_errors(built(found, DiagnosisFile)), folder / "before_after.png")
     with noted(failed, "report.html and prediction.png"):
         shown = curves(diagnosis, failed) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
         write_npz(folder / FIGURES, shown)

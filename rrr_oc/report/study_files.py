@@ -19,7 +19,7 @@ from rrr_oc.codesign.springs import configurations, saved_springs
 from rrr_oc.codesign.study import Study, files_of
 from rrr_oc.codesign.task import Task
 from rrr_oc.kept import kept_motion
-from rrr_oc.report.design_figures import draw_all
+from rrr_oc.report.design_figures import ARM, draw_all, read_motions, write_arm
 from rrr_oc.report.design_report import report
 from rrr_oc.report.design_words import MOTOR_TORQUE
 from rrr_oc.report.pages.design_page import write_design_page
@@ -28,7 +28,7 @@ from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
 QUANTITIES = {"load": "E1", "motor": MOTOR_TORQUE, "energy": "energy"}  # names of the costs in tables and figures
 FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice", "cycle_times")
-FILES = ("summary.json", "report.md", "report.html", *(f"{name}.png" for name in FIGURES))
+FILES = ("summary.json", "report.md", "report.html", ARM, *(f"{name}.png" for name in FIGURES))
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
 
 
@@ -56,7 +56,8 @@ def write_study(
                 write_csv(made / f"{file}.csv", columns)
                 if "outline_x_mm" in columns:
                     write_text(made / f"{file}.dxf", outline_dxf(columns["outline_x_mm"], columns["outline_y_mm"]))
-        draw_all(made, study.tasks.tasks)
+        write_arm(made, read_motions(made, content), study.tasks.tasks)
+        draw_all(made, content)
         write_design_page(made)
     return data(content), text
 

@@ -8,10 +8,12 @@ import pytest
 from recorded import as_set, record
 
 from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import sentence
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.schema import built
 
 TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
 
@@ -37,7 +39,7 @@ def test_torques_in_a_wrong_unit_are_not_told_from_heavier_links(recordings, tmp
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     (entry,) = content["undecided"]
     assert {m["effect"] for m in entry["members"]} >= {"torque_gain", "link_errors"}
-    assert "do not tell which is so" in sentence(content)
+    assert "do not tell which is so" in sentence(built(content, DiagnosisFile))
     assert "do not tell which is so" in (tmp_path / "report.html").read_text()
 
 

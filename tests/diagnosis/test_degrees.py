@@ -7,13 +7,14 @@ import chains
 import msgspec
 import numpy as np
 import pytest
+from filled import filled
 from recorded import Plant, as_set, record
 from scipy.special import logit
 
 from rrr_oc.diagnosis.claims import reliability
 from rrr_oc.diagnosis.claims.dependence import Shape, reached
 from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, Regression, features, judged, probability_of, regression
-from rrr_oc.diagnosis.diagnosis_file import Unexplained, to_json
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, Unexplained, to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.report.diagnosis_words import wanders
 
@@ -171,5 +172,5 @@ def test_a_zero_that_wanders_is_told_and_no_law_is_found_in_it(planar):
     assert all(0.003 < x / size < 0.1 for x, size in zip(found.wander, sizes[:, 0], strict=True))
     content = to_json(found) | {"bootstrap": {}}
     assert content["wander"] == dict(zip(("j1", "j2"), found.wander, strict=True))
-    (said,) = wanders(content)
+    (said,) = wanders(filled(content, DiagnosisFile))
     assert "as the zero of a torque sensor that wanders" in said

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from filled import filled
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrate import calibrate
@@ -14,6 +15,7 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.diagnosis.held_out import _means, acts_on, in_closed_loop, intervals, joints_made_worse, ranges
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.result import Diagnosis, Fold
@@ -153,17 +155,17 @@ def test_the_verdict_is_a_sentence(diagnosis):
         "unexplained": [],
         "bootstrap": intervals(diagnosis),
     }
-    text = sentence(found)
+    text = sentence(filled(found, DiagnosisFile))
     assert text.startswith("The calibrated model lacks payload mass in 1 of the recordings.")
     assert "joint2's torque goes from 80.0 % to 20.0 %" in text
     errors = {
         "calibration": {"before": {"joint1": 0.05, "joint2": 0.1}},
         "held_out": {"before": {"joint1": 0.06, "joint2": 0.8}},
     }
-    silent = {"verdict": "nothing_missing", "nrmse": errors}
+    silent = filled({"verdict": "nothing_missing", "nrmse": errors}, DiagnosisFile)
     assert sentence(silent).startswith("Nothing is missing: the calibrated model explains these recordings to their noise. But")
     assert "(an error of 80.0 % against 10.0 % on joint2)" in sentence(silent)
-    errors["held_out"]["before"]["joint2"] = 0.12
+    silent.nrmse.held_out.before["joint2"] = 0.12
     assert sentence(silent).endswith("noise.")
 
 
@@ -199,7 +201,8 @@ def test_an_error_says_whether_the_motion_was_covered(reach, said):
     recordings, folds = reaching(reach)
     found = ranges(recordings, folds)
     assert found == {"a": said, "b": "inside"}
-    (line, *rest) = extrapolated({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}) or [""]
+    file = filled({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}, DiagnosisFile)
+    (line, *rest) = extrapolated(file) or [""]
     assert ("move a at" in line) == (said == "outside")
     assert not rest
 

@@ -11,11 +11,12 @@ from chains import joint, link, robot
 from recorded import Plant, as_set, multisine, record
 
 from rrr_oc.calibration.model_file import load_model, save_model
-from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import ClaimEntry, to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.result import Diagnosis
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.report.diagnosis_words import plain
+from rrr_oc.schema import built
 
 TIMES = np.arange(1200) / 100  # [s]
 
@@ -64,7 +65,7 @@ def test_friction_that_grows_with_the_torque_of_the_load_or_of_the_motor(planar,
     (entry,) = to_json(found)["effects"]
     assert entry["follows"] == follows.split()[0]
     assert list(entry["parameters"]) == ["mu"]
-    assert ("the torque of its motor" in plain(entry)) == (follows != "load")
+    assert ("the torque of its motor" in plain(built(entry, ClaimEntry))) == (follows != "load")
     assert found.findings[0].term.effect == LoadDependentFriction((0,), follows)
     assert entry["equation"] == found.findings[0].term.effect.law
 

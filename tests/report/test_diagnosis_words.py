@@ -4,35 +4,45 @@ import re
 
 import numpy as np
 import pytest
+from filled import filled
 
+from rrr_oc.calibration.link_findings import Fallen, OffLink
+from rrr_oc.diagnosis.diagnosis_file import ClaimEntry, DiagnosisFile, PlaceEntry, Refuted, Unexplained
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
-from rrr_oc.report.diagnosis_words import (
-    anatomy,
-    events,
-    if_identified,
-    lowered,
-    most_like,
-    not_claimed,
-    off_links,
-    on_prior,
-    percent,
-    place,
-    placed,
-    plain,
-    rivals,
-    rows,
-    sentence,
-    told_apart,
-    touches,
-    unexplained,
-    unsaid,
-    variable,
-)
-from rrr_oc.report.pages.diagnosis_claims import claims, record_next, remaining, small
-from rrr_oc.report.pages.diagnosis_page import diagnosis_page
+from rrr_oc.report import diagnosis_words as say
+from rrr_oc.report.diagnosis_words import percent, unsaid, variable
+from rrr_oc.report.pages import diagnosis_claims, diagnosis_page
 from rrr_oc.robot.parameters import Parameter
 
+
+def of(kind, function):
+    """The function of plain data, of which a test has no more than it is about."""
+    return lambda given, *others: function(filled(given, kind), *others)
+
+
+sentence, rows, anatomy, events, told_apart, on_prior, not_claimed = (
+    of(DiagnosisFile, f)
+    for f in (say.sentence, say.rows, say.anatomy, say.events, say.told_apart, say.on_prior, say.not_claimed)
+)
+claims, record_next, remaining, small, page = (
+    of(DiagnosisFile, f)
+    for f in (
+        diagnosis_claims.claims,
+        diagnosis_claims.record_next,
+        diagnosis_claims.remaining,
+        diagnosis_claims.small,
+        diagnosis_page.diagnosis_page,
+    )
+)
+plain, rivals = of(ClaimEntry, say.plain), of(ClaimEntry, say.rivals)
+placed, touches = of(Refuted, say.placed), of(Refuted, say.touches)
+lowered, place = of(Fallen, say.lowered), of(PlaceEntry, say.place)
+most_like, unexplained = of(Unexplained, say.most_like), of(Unexplained, say.unexplained)
+off_links, if_identified = (
+    lambda found, f=f, key=key: f([filled(one, OffLink) for one in found[key]])
+    for f, key in ((say.off_links, "link_findings"), (say.if_identified, "if_identified"))
+)
 BOX = next(name for name, kind in CATALOGUE.items() if kind.role == "black_box")
 
 
@@ -606,7 +616,7 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     friction = {"effect": "viscous_friction", "joints": ["wrist_2_joint"], "options": {}, "width": None}
     friction["parameters"] = {"coefficient": number(1 / 3, "Nm s/rad", 0.01)}
     model = {"joints": ["wrist_2_joint"], "effects": [friction]}
-    text = diagnosis_page(found, {name: np.array(value) for name, value in curves.items()}, model)
+    text = page(found, {name: np.array(value) for name, value in curves.items()}, model)
     (payload,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
     assert not re.search(r"\d\.\d{7}", payload)
     text = re.sub(r"<(style|script)[ >].*?</\1>|<[^>]*>", " ", text, flags=re.S)

@@ -4,9 +4,11 @@ import json
 import os
 import re
 import shutil
+from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -17,31 +19,39 @@ import pea_bpea as study
 import pytest
 from chains import arm
 from commands import rrr_oc, run
+from filled import filled
 from msgspec import structs
 from own_arm import OWN, own_model, own_task
-from plotly.offline import get_plotlyjs
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.codesign.certificate import MeshQuality
-from rrr_oc.diagnosis.result import Diagnosis, Fold
+from rrr_oc.codesign.design_file import DesignFile
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
+from rrr_oc.diagnosis.result import Diagnosis, Finding, Fold
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.report.design_figures import ARM, design_figures, read_motions
 from rrr_oc.report.design_report import optima_table, report, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
+from rrr_oc.report.diagnosis_figures import diagnosis_figures
 from rrr_oc.report.diagnosis_report import about, write_diagnosis
+from rrr_oc.report.figures import Panel, draw, plt, thinned
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
 from rrr_oc.report.pages.diagnosis_model import model_numbers
-from rrr_oc.report.pages.diagnosis_page import _first_shown, write_diagnosis_page
-from rrr_oc.report.pages.page import thinned
+from rrr_oc.report.pages.diagnosis_page import first_shown, write_diagnosis_page
+from rrr_oc.report.pages.page import PLOTLY, STEPS, packed
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.schema import read_json
+from rrr_oc.storage import read_npz
 
 MARKUP = "<b>x</b>&\"'"  # a name that is markup where it is not escaped
 FILE = "<i>0</i>&\"'.csv"
-LARGEST = 8_000_000  # bytes of an ordinary page, as one can send it
+LARGEST = 2_000_000  # bytes of an ordinary page, as one can send it
 SHOWN_AT = [(width, scheme) for width in (1280, 390) for scheme in ("light", "dark")]
 pages = pytest.mark.parametrize("name", ["design", "set", "diagnosis"])
 
@@ -95,13 +105,27 @@ def text_of(folder: Path) -> str:
 
 
 def without_plotly(text: str) -> str:
-    assert text.count(get_plotlyjs()) == text.count("plotly.js v") == 1
-    return text.replace(get_plotlyjs(), "")
+    script = (files("rrr_oc.report") / "templates" / PLOTLY).read_text(encoding="utf-8")
+    assert text.count(script) == text.count("plotly.js (basic - minified) v") == 1
+    return text.replace(script, "")
 
 
 def payload(text: str) -> dict[str, Any]:
     (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
-    return json.loads(found)
+    page = json.loads(found)
+    tables = page["data"].values()
+    for columns in (columns for table in tables for columns in table.values() if "joined" not in columns):
+        columns |= {name: unpacked(column) for name, column in columns.items()}
+    return page
+
+
+def unpacked(column: Any) -> list[Any]:
+    """What the page's script makes of a column."""
+    if isinstance(column, list):
+        return column
+    steps = np.frombuffer(b64decode(column["steps"]), "<u2")
+    values = column["low"] + (column["high"] - column["low"]) / STEPS * steps.astype(float)
+    return [None if step > STEPS else value for step, value in zip(steps.tolist(), values.tolist(), strict=True)]
 
 
 @pages
@@ -112,9 +136,7 @@ def test_a_page_is_whole_in_one_file_and_asks_no_network(folders, name):
     assert '<meta name="viewport" content="width=device-width' in rest
     assert "prefers-color-scheme: dark" in rest
     links = re.findall(r'(?:src|href)\s*=\s*["\']?([^"\'> ]*)', rest)
-    assert [link for link in links if not link.startswith("data:image/png;base64,")] == [
-        "https://doi.org/10.1177/17298806241228371"
-    ]
+    assert links == ["https://doi.org/10.1177/17298806241228371"]
     assert not re.search(r"<link|@import|url\(|<iframe|fetch\(|XMLHttpRequest", rest)
 
 
@@ -167,9 +189,11 @@ def test_every_figure_finds_its_data_and_has_a_sentence(folders, name):
         for i, choice in enumerate(figure["by"]):
             keys = [key + "|" * bool(i) + value for key in keys for value in choices[choice]]
         for key in keys:
-            table = page["data"][figure["data"]]
-            parts = table[key].get("joined", [key])
+            table = page["data"][figure["table"]]
             assert re.fullmatch(r"[A-Z0-9].*\.", figure["captions"][key])
+            if key not in table:  # where the sentence says that there is nothing to show
+                continue
+            parts = table[key].get("joined", [key])
             curves_of = [c for c in figure["curves"] if c["x"] in table[parts[0]]]
             assert curves_of
             for part in parts:
@@ -196,7 +220,7 @@ def test_the_twin_and_the_units_are_on_the_page_of_a_design(folders):
     shown = page["data"]["motion"]["PEA|0"]
     assert (min(shown["q"]), max(shown["q"])) == pytest.approx((np.degrees(q).min(), np.degrees(q).max()), rel=1e-4)
     assert len(t) <= POINTS  # so that all samples are shown, with five digits
-    np.testing.assert_allclose(shown["needed"], (load + spring)[0], rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(shown["needed"], (load + spring)[0], atol=1e-4 * np.ptp(load + spring))
     assert shown["dq_upper"] == [90.0, 90.0]
 
 
@@ -215,6 +239,55 @@ def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     assert found["worst"] == 1
 
 
+def test_the_law_of_a_claim_lies_over_what_was_recorded_of_it(diagnosis):
+    """The spring's own torque at the angles of the bins, by its equation; the motor gives what it takes."""
+    term = next(term for term in diagnosis.model.terms if term.effect.name == "parallel_spring")
+    found = Finding(term, 0.9, 100.0, 1e-9, named=True, fall=Fall(1, 0.4, 0.3, 0.5), right=0.9)
+    shown = curves(replace(diagnosis, findings=(found,)), {})
+    assert shown["over"].tolist() == [f"q_{diagnosis.model.joints[1]}"]
+    x, low, high, law = shown["law 0"]
+    stiffness, rest = term.values
+    assert len(x) > 20
+    assert np.all(np.diff(x) > 0)
+    width = 1.05 * np.max(np.diff(x)) * stiffness  # of a bin, over which the median may lie
+    np.testing.assert_allclose(law, -stiffness * np.maximum(rest - x, 0.0), atol=width)
+    assert np.mean((low <= law) & (law <= high)) > 0.8
+    (figure,) = [f for f in diagnosis_figures(filled({}, DiagnosisFile), shown, ["Spring"]) if f.name == "law_0"]
+    assert figure.axes == ("position of elbow [°]", "torque [Nm]")
+    np.testing.assert_allclose(figure.data[""]["x"], np.degrees(x))
+
+
+@pages
+def test_matplotlib_draws_the_numbers_of_the_page(folders, name):
+    """Of each figure with its first data, in every curve that is a line or a cloud of one colour."""
+    folder = folders[name]
+    if name == "diagnosis":
+        found = read_json(folder / "diagnosis.json", DiagnosisFile)
+        figures = diagnosis_figures(found, read_npz(folder / "figures.npz"))
+    else:
+        study = read_json(folder / "summary.json", DesignFile)
+        figures = design_figures(study, read_motions(folder, study), read_npz(folder / ARM))
+    page = payload(text_of(folder))
+    assert sorted(f.name for f in figures) == sorted(page["figures"])
+    for figure in figures:
+        one = next(key for key, columns in figure.data.items() if "joined" not in columns)
+        drawn = draw([[Panel(figure, one)]])
+        axis, columns = drawn.axes[0], page["data"][figure.table][one]
+        plt.close(drawn)
+        shown = [np.column_stack(line.get_data(orig=True)) for line in axis.get_lines()]
+        for curve in figure.drawn(one):
+            if curve.colour or curve.moves:
+                continue
+            wanted = np.column_stack([np.array(columns[x], object) for x in (curve.x, curve.y)])
+            numbers = [i for i in (0, 1) if not isinstance(wanted[0, i], str)]
+            wanted = wanted[:, numbers].astype(float)
+            atol = 1e-4 * np.max(np.abs(np.nan_to_num(wanted)))
+            assert any(
+                len(s) == len(wanted) and np.allclose(s[:, numbers].astype(float), wanted, rtol=1e-4, atol=atol, equal_nan=True)
+                for s in shown
+            ), (figure.name, curve)
+
+
 def test_a_page_shows_first_what_the_first_claim_changes(diagnosis):
     """Joint 2 of recording 1 by what the claim says; without a claim what the plain model predicts worst."""
     joints, missed = list(diagnosis.model.joints), np.zeros((2, len(diagnosis.model.joints), 2))
@@ -224,8 +297,8 @@ def test_a_page_shows_first_what_the_first_claim_changes(diagnosis):
     claimed = {"effect": "quadratic_drag", "lowers_error": {"joint": joints[1]}}
     errors = {joint: {"before": {"value": x}} for joint, x in zip(joints, (0.1, 0.2, 0.3), strict=True)}
     found = {"effects": [claimed], "unexplained": [], "bootstrap": errors}
-    assert _first_shown(found, shown, joints) == ("1", "1")
-    assert _first_shown(found | {"effects": []}, shown, joints) == ("0", "2")
+    assert first_shown(filled(found, DiagnosisFile), shown, joints) == ("1", "1")
+    assert first_shown(filled(found | {"effects": []}, DiagnosisFile), shown, joints) == ("0", "2")
 
 
 def test_the_numbers_of_the_page_make_the_torque_of_the_model(diagnosis, tmp_path):
@@ -255,6 +328,20 @@ def test_a_diagnosis_that_adds_nothing_shows_each_map_once(diagnosis, tmp_path):
     text = text_of(tmp_path)
     assert sorted(payload(text)["figures"]) == ["errors", "load_before", "position_before", "prediction", "time_before"]
     assert re.search(r"Both models are the same here; they miss the torque by \d+(\.\d+)? Nm rms\.", text)
+
+
+def test_a_packed_column_is_what_it_was_to_what_can_be_seen():
+    rng = np.random.default_rng(0)
+    column = 1e3 + np.where(rng.random(5000) < 0.1, np.nan, rng.normal(size=5000))
+    again = np.array(unpacked(packed(column)), float)
+    np.testing.assert_array_equal(np.isnan(again), np.isnan(column))
+    half_a_step = 0.51 * (np.nanmax(column) - np.nanmin(column)) / STEPS
+    np.testing.assert_allclose(again[np.isfinite(column)], column[np.isfinite(column)], atol=half_a_step, rtol=0)
+    assert len(json.dumps(packed(column))) < 3 * column.size
+    assert packed(np.array(["<b>", "b"])) == ["<b>", "b"]
+    assert packed([1.0, np.nan, 1 / 3]) == [1.0, None, 0.33333]
+    assert unpacked(packed(np.full(100, 7.0))) == [7.0] * 100
+    assert unpacked(packed(np.full(100, np.nan))) == [None] * 100
 
 
 def test_thinned_samples_have_the_extremes_and_are_no_more_than_asked_for():

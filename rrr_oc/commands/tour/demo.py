@@ -15,7 +15,7 @@ from rrr_oc.commands.output import Output, Quiet, progress_alone
 from rrr_oc.commands.shared import Jobs
 from rrr_oc.commands.tour.truth import beside
 from rrr_oc.errors import UserError, ends_at_once
-from rrr_oc.schema import read_json
+from rrr_oc.schema import built, read_json
 from rrr_oc.storage import check_folder, read_utf8, write_text
 
 BUNDLED = files("rrr_oc.data") / "demo"
@@ -94,10 +94,12 @@ def _tell(output: Output, number: int, question: str, command: Sequence[str]) ->
 
 
 def _show_diagnosis(diagnosis: Mapping[str, Any], out: Path, page: bool, output: Output) -> None:
+    from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
     from rrr_oc.report import diagnosis_words as told
 
-    output.show(f"   {told.sentence(diagnosis)}")
-    for line in [*map(told.plain, told.missing(diagnosis)), *told.off_links(diagnosis)]:
+    found = built(diagnosis, DiagnosisFile)
+    output.show(f"   {told.sentence(found)}")
+    for line in [*map(told.plain, told.missing(found)), *told.off_links(found.link_findings)]:
         output.show(f"   {line}")
     report = (out / "diagnosis" / "report.html").absolute()
     opened = page and webbrowser.open(report.as_uri())
