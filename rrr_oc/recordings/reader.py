@@ -204,7 +204,7 @@ def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str
     if not len(t):
         return 1.0
     same = (values[:, 1:] == values[:, :-1]) | (np.isnan(values[:, 1:]) & np.isnan(values[:, :-1]))
-    again = np.append(False, same.all(axis=0))
+    again = np.concatenate([[False], np.all(same, axis=0)])
     if again.any() and np.array_equal(again[1:], np.diff(t) == 0):
         t[again] = np.nan
         mended["again"] = f"{np.sum(again)} rows stand there again and are left out"

@@ -82,12 +82,12 @@ def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.nd
 def _grid(t: np.ndarray, step: float) -> np.ndarray:
     """Even times, about `step` [s] apart, nearest to stamps t (K,) [s], of which some may be lost; the stamps where there are none."""
     number = np.cumsum(np.append(0, np.maximum(1, np.round(np.diff(t) / step))))
+    line = np.polynomial.Polynomial.fit(number, t, 1)
     for _ in range(5):
-        line = np.polynomial.Polynomial.fit(number, t, 1)
         nearest = np.round((t - line(0)) / (line(1) - line(0)))
         if np.array_equal(nearest, number) or np.any(np.diff(nearest) < 1):
             break
-        number = nearest
+        number, line = nearest, np.polynomial.Polynomial.fit(nearest, t, 1)
     return line(number) if np.max(np.abs(t - line(number))) < step else t
 
 

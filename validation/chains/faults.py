@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import butter, filtfilt, lfilter
+from scipy.signal import butter, sosfilt, sosfiltfilt
 
 Fault = Callable[[np.ndarray, np.ndarray, np.ndarray, np.random.Generator], tuple[np.ndarray, np.ndarray]]
 
@@ -54,13 +54,13 @@ def one_after_another(t, q, tau, rng):
 
 def smoothed(t, q, tau, rng):
     """Torques were smoothed at a desk, without a lag, at 4 to 10 Hz."""
-    return q, filtfilt(*butter(2, rng.uniform(4, 10) * 2 * np.median(np.diff(t))), tau)
+    return q, sosfiltfilt(butter(2, rng.uniform(4, 10) * 2 * np.median(np.diff(t)), output="sos"), tau)
 
 
 def filtered_positions(t, q, tau, rng):
     """Positions passed a causal filter of 8 to 20 Hz."""
-    b, a = butter(2, rng.uniform(8, 20) * 2 * np.median(np.diff(t)))
-    return lfilter(b, a, q - q[:, :1]) + q[:, :1], tau
+    sections = butter(2, rng.uniform(8, 20) * 2 * np.median(np.diff(t)), output="sos")
+    return np.asarray(sosfilt(sections, q - q[:, :1])) + q[:, :1], tau
 
 
 def running_median(t, q, tau, rng):
