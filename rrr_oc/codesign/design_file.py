@@ -430,6 +430,18 @@ class LimitsEntry(Struct, frozen=True, forbid_unknown_fields=True):
     jerk_rad_per_s3: float | None = None
 
 
+class PassedPoint(Struct, frozen=True, forbid_unknown_fields=True):
+    """A point that the arm passes.
+
+    Attributes:
+        phase: Which way: "go" or "return".
+        time_share: Share of the phase's time after which it is there [1].
+    """
+
+    phase: str
+    time_share: float
+
+
 class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     """A task that was asked for.
 
@@ -447,6 +459,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
         floor_m: Height that tool and links stay above; null where there is no floor.
         keep_outs: What tool and links keep out of.
         link_radius_m: Of the links about the lines from joint to joint.
+        via: Points that the arm passes on its ways.
     """
 
     name: str
@@ -462,6 +475,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     floor_m: float | None = None
     keep_outs: tuple[KeepOut, ...] = ()
     link_radius_m: float = 0.0
+    via: tuple[PassedPoint, ...] = ()
 
 
 class Unsure(Struct, frozen=True, forbid_unknown_fields=True):

@@ -13,7 +13,7 @@ from rrr_oc.codesign.clearance import Clearance
 from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
-from rrr_oc.codesign.task import PHASES, Task
+from rrr_oc.codesign.task import PHASES, Passed, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
 from rrr_oc.errors import UserError, meant
@@ -251,7 +251,7 @@ class CoDesign:
 
     def _boundaries(self, index: int, unit: float, springs: tuple[str, ...]) -> tuple[Boundary, ...]:
         """At both ends of a phase the springs in series hold the arm, over a unit of torque; the tool is where the task wants it, a
-        condition of the first phase alone, as the other begins and ends in the same postures."""
+        condition of the first phase alone, as the other begins and ends in the same postures. And the points that a phase passes."""
         made, sides = list[Boundary](), get_args(Side)
         if springs:
             held = self._held_by_springs(index, unit)
@@ -263,7 +263,19 @@ class CoDesign:
                 there = goal.equalities(self.model.body, self.task.tool, q)
                 names = tuple(f"place of the tool, direction {k + 1}" for k in range(there.numel()))
                 made.append(Boundary(side, ca.Function("place", [x, p, d], [there]), names))
-        return tuple(made)
+        return (*made, *(self._via(passed) for passed in self.task.via if passed.phase == index))
+
+    def _via(self, passed: Passed) -> Boundary:
+        """The arm is at a point that it passes."""
+        x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
+        angles = x[: len(self.task.moving)]
+        if passed.goal is None:
+            there, names = angles - ca.DM(passed.angles), tuple(f"angle of {joint}" for joint in self.task.joints)
+        else:
+            q = self._all_joints(angles, self.task.locked)
+            there = passed.goal.equalities(self.model.body, self.task.tool, q)
+            names = tuple(f"place of the tool, direction {k + 1}" for k in range(there.numel()))
+        return Boundary(passed.share, ca.Function("via", [x, p, d], [there]), names)
 
     def _held_by_springs(self, index: int, unit: float) -> ca.Function:
         """(x, p, d) -> torque of the springs in series less what holds the arm still, over a unit (e,)."""

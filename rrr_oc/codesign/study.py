@@ -685,6 +685,7 @@ def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     limits += "".join(f"; {task.joints[j]}: {np.degrees(task.jerk[j]):.0f} °/s³" for j in task.jerky)
     limits += f"; above {task.around.floor:g} m" * bool(np.isfinite(task.around.floor))
     limits += "".join(f"; outside of {one.name}" for one in task.around.keep_outs)
+    limits += "".join(f"; via {i} at {passed.share:.0%} of {PHASES[passed.phase]}" for i, passed in enumerate(task.via))
     return UserError(
         f"no motion of task {task.name!r} was found within its limits ({limits}; "
         f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"

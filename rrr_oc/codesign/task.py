@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -27,6 +28,7 @@ from rrr_oc.schema import (
     Position,
     Positive,
     Schema,
+    Share,
     Text,
     Vector,
     check_interval,
@@ -92,10 +94,39 @@ class End(Schema, frozen=True):
     speed: Speed = "rest"
 
     def __post_init__(self) -> None:
-        if (self.angles_deg is None) == (self.position_m is None):
-            raise ValueError('give either "angles_deg" or "position_m"')
-        if self.direction is not None and self.position_m is None:
-            raise ValueError("direction: a direction needs a position_m; angles_deg say it already")
+        _check_place(self)
+
+
+class Via(Schema, frozen=True):
+    """A point that a phase passes, by angles or by position.
+
+    Attributes:
+        phase: Which way: "go" with the payload, or "return".
+        angles_deg: Angles of the moving joints, in their order.
+        position_m: Position of the tool in the base frame; the posture is free.
+        direction: Which way the tool points at that position; by default any.
+        time_share: Share of the phase's time after which it is there, between 0 and 1; where no point of a phase has one, they divide its
+            time evenly.
+    """
+
+    phase: Literal["go", "return"]
+    angles_deg: tuple[float, ...] | None = None
+    position_m: Position | None = None
+    direction: Direction | None = None
+    time_share: Share | None = None
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        if self.time_share is not None and not 0 < self.time_share < 1:
+            raise ValueError(f"time_share: found {self.time_share:g}; a share between 0 and 1 is required")
+
+
+def _check_place(given: End | Via) -> None:
+    """Raise `ValueError` unless a place is given by either angles or position."""
+    if (given.angles_deg is None) == (given.position_m is None):
+        raise ValueError('give either "angles_deg" or "position_m"')
+    if given.direction is not None and given.position_m is None:
+        raise ValueError("direction: a direction needs a position_m; angles_deg say it already")
 
 
 class Limits(Schema, frozen=True):
@@ -133,6 +164,7 @@ class TaskFile(Schema, frozen=True):
         duration_s: Least and greatest duration of each way, above 0.
         limits: Limits by moving joint.
         cycle_s: Least and greatest duration of both ways together, above 0; by default what `duration_s` allows.
+        via: Points that the arm passes on its ways, of each way in their order; it need not stop there.
         name: Name in reports; by default the file's.
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where the payload is held; by default the last link's tool frame.
@@ -159,6 +191,7 @@ class TaskFile(Schema, frozen=True):
     duration_s: Interval
     limits: dict[str, Limits]
     cycle_s: Interval | None = None
+    via: tuple[Via, ...] = ()
     name: Text | None = None
     gravity: Vector | None = None
     tool: Tool | None = None
@@ -180,6 +213,28 @@ class TaskFile(Schema, frozen=True):
         least, most = (2 * side for side in self.duration_s)
         if self.cycle_s is not None and not (self.cycle_s[0] <= most and self.cycle_s[1] >= least):
             raise ValueError(f"cycle_s: found {list(self.cycle_s)}; two ways of duration_s take {least:g} … {most:g} s")
+        for phase in PHASES:
+            shares = [via.time_share for via in self.via if via.phase == phase]
+            known = [share for share in shares if share is not None]
+            if known and (len(known) < len(shares) or any(a >= b for a, b in pairwise(known))):
+                raise ValueError(f'via: of "{phase}" all or none need a time_share, each greater than the one before')
+
+
+@dataclass(frozen=True, eq=False)
+class Passed:
+    """A point that a phase passes.
+
+    Attributes:
+        phase: Index of the phase.
+        share: Share of its time after which it is there [1].
+        angles: Of the moving joints (m,) [rad]; where there is a goal, of one posture in which it is reached.
+        goal: Place of the tool, where the posture is free.
+    """
+
+    phase: int
+    share: float
+    angles: np.ndarray
+    goal: Goal | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +261,7 @@ class Task:
         speeds: Of the arm at start and release, as in the file.
         goals: Places of the tool at start and release where the posture is free there.
         cycle: Bounds of the duration of both phases together [s], if there are some beside theirs.
+        via: The points that it passes on its ways.
         files: The files that it was read from.
         spring_limits: Limits of the springs as parts.
     """
@@ -231,6 +287,7 @@ class Task:
     speeds: tuple[Speed, Speed] = ("rest", "rest")
     goals: tuple[Goal | None, Goal | None] = (None, None)
     cycle: Interval | None = None
+    via: tuple[Passed, ...] = ()
     files: tuple[Path, ...] = ()
     spring_limits: SpringLimits = SpringLimits()  # noqa: RUF009
 
@@ -334,6 +391,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         speeds=(given.start.speed, given.release.speed),
         goals=(None, None),
         cycle=given.cycle_s,
+        via=(),
         spring_limits=given.spring_limits or SpringLimits(),
         actuators=_actuators(where, given),
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
@@ -347,8 +405,28 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         width = given.path_margin * np.ptp(ends, axis=0)
         lower, upper = np.maximum(task.lower, ends.min(axis=0) - width), np.minimum(task.upper, ends.max(axis=0) + width)
         task = replace(task, lower=lower, upper=upper)
+    task = replace(task, via=_passed(where, task, body, given.via))
     _check_feasible(where, task, body)
     return task
+
+
+def _passed(where: str, task: Task, body: RigidBody, given: Sequence[Via]) -> tuple[Passed, ...]:
+    """The points that the arm passes; raises `UserError` for one that it does not reach, or that floor or keep-outs forbid."""
+    found = []
+    for i, via in enumerate(given):
+        named = f"{where}: via[{i}]"
+        if via.position_m is not None:
+            goal, angles = inverse_kinematics(task, body, _goal(via), named)
+        else:
+            goal, angles = None, _angles(named, task, via.angles_deg)
+        for kept in task.kept(task.full(angles)):
+            if float(kept.value) < kept.least and (goal is None or kept.of == TOOL):
+                told = f"{kept.of} is {float(kept.value):.4f} m from {kept.name}; {kept.least:.4f} m or more is required"
+                raise UserError(f"{named}: {told}")
+        own = [j for j, other in enumerate(given) if other.phase == via.phase]
+        share = via.time_share or (own.index(i) + 1) / (len(own) + 1)
+        found.append(Passed(PHASES.index(via.phase), share, angles, goal))
+    return tuple(found)
 
 
 def _with_tables(
@@ -475,18 +553,23 @@ def _end(where: str, task: Task, body: RigidBody, end: End) -> tuple[np.ndarray,
     if end.position_m is not None:
         goal, angles = inverse_kinematics(task, body, _goal(end), where)
         return angles, goal if end.posture == "free" and len(goal.rows) < len(task.moving) else None
-    assert end.angles_deg is not None
-    angles = np.radians(end.angles_deg)
+    return _angles(where, task, end.angles_deg), None
+
+
+def _angles(where: str, task: Task, angles_deg: Sequence[float] | None) -> np.ndarray:
+    """Angles of the moving joints [rad], (m,); raises `UserError` where they are too many or too few, or outside their ranges."""
+    assert angles_deg is not None
+    angles = np.radians(angles_deg)
     if len(angles) != len(task.moving):
-        raise UserError(f"{where}.angles_deg: found {list(end.angles_deg)}; one number per moving joint is required")
+        raise UserError(f"{where}.angles_deg: found {list(angles_deg)}; one number per moving joint is required")
     for joint, angle, low, high in zip(task.joints, angles, task.lower, task.upper, strict=True):
         if not low <= angle <= high:
             outside = f"outside its range {np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
             raise UserError(f"{where}: {joint} would stand at {np.degrees(angle):.2f}°, {outside}")
-    return angles, None
+    return angles
 
 
-def _goal(end: End) -> Goal:
+def _goal(end: End | Via) -> Goal:
     assert end.position_m is not None
     if end.direction is None:
         return Goal(end.position_m)

@@ -46,15 +46,15 @@ class Bounded:
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Conditions at an end of a phase.
+    """Conditions at an end of a phase, or at a node within it.
 
     Attributes:
-        end: At which end.
+        end: At which end, or after which share of the phase's time, between 0 and 1; every mesh needs a node there.
         function: casadi Function (x, p, d) -> what is 0 there; it takes the data of the phase.
         names: Of the conditions.
     """
 
-    end: Side
+    end: Side | float
     function: ca.Function
     names: tuple[str, ...]
 
@@ -109,8 +109,15 @@ class Phase:
         for boundary in self.boundaries:
             if boundary.function.numel_out(0) != len(boundary.names):
                 raise UserError(f"{where}a boundary does not return one number for each of {boundary.names}")
+            if not isinstance(boundary.end, str) and not 0 < boundary.end < 1:
+                raise UserError(f"{where}a boundary at the share {boundary.end:g} of its time; one between 0 and 1 is required")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
+
+    @property
+    def shares(self) -> list[float]:
+        """Shares of its time with a boundary, in their order."""
+        return sorted({b.end for b in self.boundaries if not isinstance(b.end, str)})
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,16 @@ def scheme(name: str = "gauss", stages: int = 3, everywhere: bool = False) -> Sc
 
 
 def uniform_mesh(problem: Problem, intervals: int) -> tuple[np.ndarray, ...]:
-    """`intervals` equal fractions for each phase; raises `UserError` unless there is at least one."""
+    """`intervals` equal fractions for each phase; raises `UserError` unless there is at least one.
+
+    Where a phase has boundaries within it, its parts have so many of them as is near their shares of the time, at least one each.
+    """
     if intervals < 1:
         raise UserError(f"a mesh needs at least 1 interval a phase, got {intervals}")
-    return tuple(np.full(intervals, 1 / intervals) for _ in problem.phases)
+    return tuple(_parts_of(np.diff([0.0, *phase.shares, 1.0]), intervals) for phase in problem.phases)
+
+
+def _parts_of(parts: np.ndarray, intervals: int) -> np.ndarray:
+    """Fractions, equal within each part of a phase, whose shares of the time are given."""
+    numbers = np.maximum(np.round(parts * intervals), 1).astype(int)
+    return np.repeat(parts / numbers, numbers)

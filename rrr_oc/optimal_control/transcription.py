@@ -6,10 +6,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.interval import Interval, interval_functions
-from rrr_oc.optimal_control.problem import Guess, Phase, Problem
+from rrr_oc.optimal_control.problem import Guess, Phase, Problem, Side
 from rrr_oc.optimal_control.scatter import Scatter, nonzeros_of, sum_into
 from rrr_oc.optimal_control.scheme import Scheme
+
+SAME_NODE = 1e-9  # [1] of a phase's time, within which a node is where a boundary is; doubled, nothing changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,16 +178,13 @@ class Transcription:
     @property
     def _boundaries(self) -> list[tuple[ca.Function, np.ndarray | None, np.ndarray, tuple[str, ...]]]:
         """Boundary conditions of each phase: the function, indices of its data, of the states there, and names."""
-        return [
-            (
-                boundary.function,
-                phase.data,
-                block.nodes[:, 0 if boundary.end == "start" else -1],
-                tuple(f"{name} at the {boundary.end} of {phase.name!r}" for name in boundary.names),
-            )
-            for phase, block in zip(self.problem.phases, self.blocks, strict=True)
-            for boundary in phase.boundaries
-        ]
+        found = []
+        for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
+            for boundary in phase.boundaries:
+                node, where = _node(boundary.end, fractions)
+                names = tuple(f"{name} at {where} of {phase.name!r}" for name in boundary.names)
+                found.append((boundary.function, phase.data, block.nodes[:, node], names))
+        return found
 
     def row_name(self, row: int) -> str:
         """The name of a constraint and its instant, for messages."""
@@ -358,3 +358,18 @@ class Transcription:
         program.jacobian.add(at + i, indices[j], slopes * ca.DM(scale[j].tolist()))
         i, j = nonzeros_of(second.sparsity())
         program.hessian.add(indices[i], indices[j], curvatures * ca.DM((scale[i] * scale[j]).tolist()))
+
+
+def _node(end: Side | float, fractions: np.ndarray) -> tuple[int, str]:
+    """Index of the node at an end of a phase or after a share of its time, and where that is, in words.
+
+    Raises:
+        UserError: The mesh has no node there.
+    """
+    if isinstance(end, str):
+        return (0 if end == "start" else -1), f"the {end}"
+    nodes = np.r_[0, np.cumsum(fractions)]
+    node = int(np.abs(nodes - end).argmin())
+    if abs(nodes[node] - end) > SAME_NODE:
+        raise UserError(f"a mesh without a node at {end:g} of the time, where a boundary is; the nearest is at {nodes[node]:g}")
+    return node, f"{end:.0%}"

@@ -99,6 +99,10 @@ def rules(study: DesignFile) -> list[str]:
     names = list(dict.fromkeys(one.name for task in study.tasks for one in task.keep_outs))
     if names:
         said.append(f"They keep out of {listed(names)}.")
+    points = [point for task in study.tasks for point in task.via]
+    passed = dict.fromkeys(f"at {100 * point.time_share:.0f} % of “{point.phase}”" for point in points)
+    if passed:
+        said.append(f"The arm passes given points {listed([*passed])}.")
     jerks = [limit.jerk_rad_per_s3 for task in study.tasks for limit in task.limits.values()]
     if jerks and None not in jerks:
         said.append("The jerk is limited, so that accelerations do not jump, and are 0 where the arm rests between the phases.")

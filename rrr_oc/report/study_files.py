@@ -17,7 +17,7 @@ from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
 from rrr_oc.codesign.study import Study, files_of
-from rrr_oc.codesign.task import Task
+from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.kept import kept_motion
 from rrr_oc.report.design_figures import ARM, draw_all, read_motions, write_arm
 from rrr_oc.report.design_report import report
@@ -101,6 +101,7 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "floor_m": task.around.floor,
         "keep_outs": task.around.keep_outs,
         "link_radius_m": task.around.link_radius,
+        "via": [{"phase": PHASES[one.phase], "time_share": one.share} for one in task.via],
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }
     ends = {

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from phases import changed
-from scipy.interpolate import BPoly
+from scipy.interpolate import BPoly, CubicSpline
 
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.problem import Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
-from rrr_oc.optimal_control.solver import solve
+from rrr_oc.optimal_control.solver import Solver, solve
 from rrr_oc.optimal_control.transcription import Transcription
 
 R3, R5, R6 = np.sqrt([3, 5, 6])
@@ -435,3 +435,42 @@ def test_chains_are_what_links_join():
         replace(p, links=(Link(0, 5, (0,)),))
     with pytest.raises(UserError, match="a link names state 2 of phase '0', which has 2"):
         replace(p, links=(Link(0, 1, (2,)),))
+
+
+def passing(share: float) -> Problem:
+    """A mass that goes from rest to rest in 2 s with the least ∫ u² dt, and passes −0.5 after a share of the time."""
+    x, u, none = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("none", 0)
+    far, one = np.full(2, np.inf), np.ones(1)
+    there = Boundary(share, ca.Function("there", [x, none, none], [x[0] + 0.5]), ("place",))
+    mass = Phase(
+        name="go",
+        rates=ca.Function("rates", [x, u, none, none], [ca.vertcat(x[1], u), u**2, ca.SX(0, 1)]),
+        x=Bounded(("place", "speed"), -far, far, np.ones(2)),
+        u=Bounded(("force",), -np.inf * one, np.inf * one, one),
+        start=np.zeros(2),
+        end=np.array([1.0, 0.0]),
+        duration=(2.0, 2.0),
+        boundaries=(there,),
+    )
+    return Problem((mass,))
+
+
+def test_a_boundary_within_a_phase_is_met_as_by_the_clamped_spline():
+    """Of all motions through points the cubic spline has the least ∫ u² dt; a collocated motion of order 4 is one."""
+    problem, spline = passing(0.3), CubicSpline([0.0, 0.6, 2.0], [0.0, -0.5, 1.0], bc_type="clamped")
+    mesh = uniform_mesh(problem, 4)
+    np.testing.assert_allclose(mesh[0], [0.3, 0.7 / 3, 0.7 / 3, 0.7 / 3])
+    guess = PhaseGuess(2.0, lambda s: np.vstack([s, 0 * s]), lambda s: np.zeros((1, s.size)))
+    solution = solve(problem, Guess((guess,), np.zeros(0)), 4, scheme("lobatto", 4))
+    s = np.linspace(0, 1, 41)
+    np.testing.assert_allclose(solution.at(0, s)[0], [spline(2 * s), spline(2 * s, 1)], atol=1e-7)
+    row = solution.transcription.row_bounds[0].size - 1
+    assert solution.transcription.row_name(row) == "place at 30% of 'go'"
+
+
+def test_a_boundary_within_a_phase_needs_a_node_and_a_share_within_it():
+    uneven = Transcription(passing(0.3), scheme("lobatto", 4), (np.full(4, 0.25),))
+    with pytest.raises(UserError, match=r"a mesh without a node at 0\.3 of the time"):
+        Solver(uneven).solve(np.zeros(uneven.size))
+    with pytest.raises(UserError, match="one between 0 and 1 is required"):
+        passing(1.0)

@@ -4,7 +4,7 @@ import designs
 from msgspec.structs import replace
 
 from rrr_oc.codesign.clearance import Capsule, KeepOut
-from rrr_oc.codesign.design_file import DesignFile, LimitsEntry
+from rrr_oc.codesign.design_file import DesignFile, LimitsEntry, PassedPoint
 from rrr_oc.report import design_words as say
 from rrr_oc.report.design_report import motors_table, optima_table
 
@@ -34,6 +34,11 @@ def test_rules_of_a_task_with_floor_keep_out_and_jerk():
     assert floor == "Links and tool stay above a floor at 0 m."
     assert post == "They keep out of post."
     assert jerk.startswith("The jerk is limited")
+
+
+def test_points_on_the_way_are_told():
+    rules = say.rules(study(0.1, limits={"b": JUMPING}, via=(PassedPoint("go", 0.3), PassedPoint("return", 0.5))))
+    assert rules[1] == "The arm passes given points at 30 % of “go” and at 50 % of “return”."
 
 
 def test_a_motion_below_the_base_is_told_where_no_floor_was_given():

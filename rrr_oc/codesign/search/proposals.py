@@ -16,6 +16,7 @@ from rrr_oc.optimal_control.problem import Guess, PhaseGuess
 from rrr_oc.optimal_control.refinement import Refinement
 
 LAYERS = ("sobol", "cma-es")
+BESIDE = 0.05  # [1] of a path, within which a proposed point gives way to one of the task; doubled, paths are smoother
 
 
 @dataclass(frozen=True)
@@ -149,12 +150,19 @@ def phase_guess(task: Task, index: int, vector: np.ndarray) -> PhaseGuess:
 
 def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGuess:
     start, end = task.ends(index)
-    points = np.column_stack([start, via, end])
-    path = CubicSpline(np.linspace(0, 1, points.shape[1]), points, axis=1)
+    shares, points = np.linspace(0, 1, via.shape[1] + 2), np.column_stack([start, via, end])
+    passed = [one for one in task.via if one.phase == index]
+    if passed:  # points beside those that the task passes give way to them
+        own = _minimum_jerk(np.array([one.share for one in passed]))
+        kept = [s in (0, 1) or bool(np.all(np.abs(s - own) > BESIDE)) for s in shares]
+        shares, points = np.r_[shares[kept], own], np.column_stack([points[:, kept], *(one.angles for one in passed)])
+        order = np.argsort(shares)
+        shares, points = shares[order], points[:, order]
+    path = CubicSpline(shares, points, axis=1)
 
     def progress(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Share of the path behind at a share s of the time, and its rate [1/s]: minimum jerk."""
-        return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+        return _minimum_jerk(s), 30 * s**2 * (1 - s) ** 2 / T
 
     def states(s: np.ndarray) -> np.ndarray:
         sigma, rate = progress(s)
@@ -168,3 +176,8 @@ def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGues
         return np.clip(path(sigma, 2) * rate**2 + path(sigma, 1) * curve, -limit, limit)
 
     return PhaseGuess(T, states, controls)
+
+
+def _minimum_jerk(s: np.ndarray) -> np.ndarray:
+    """Share of a path that is behind at a share of the time."""
+    return s**3 * (10 - 15 * s + 6 * s**2)

@@ -120,10 +120,11 @@ class TaskSet:
     @property
     def contents(self) -> list[Any]:
         """All that the set says, as plain data, to tell whether two sets are the same."""
-        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files", "goals")]
+        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files", "goals", "via")]
         tasks = [
             {name: getattr(task, name) for name in of}
             | {"tool": task.tool.position, "goals": [goal and asdict(goal) for goal in task.goals]}
+            | {"via": [asdict(passed) for passed in task.via]}
             for task in self.tasks
         ]
         return plain([tasks, self.weights, self.objective, self.payload, self.model])
