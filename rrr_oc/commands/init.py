@@ -403,6 +403,7 @@ def _task(name: str, moved: MovedTask, ends: Ends, floor: str) -> str:
   {"// " * (moved.tool is None)}"tool": {{"link": {json.dumps(robot.tool_link)}, "position_m": {place}}}, // where the payload is held
   "start": {ends.start}
   "release": {ends.release}
+  // "via": [{{"phase": "go", {ends.start[1 : ends.start.index("}")]}}}], // points on the way, by position or angles
   "payload_kg": {ends.payload:g}, // from start to release; the arm comes back without it
   "duration_s": [0.5, {longest:g}], // of each way
   // "cycle_s": [1.0, {2 * longest:g}], // of both ways together

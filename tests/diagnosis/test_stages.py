@@ -32,7 +32,7 @@ from rrr_oc.progress import Step
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report import diagnosis_report
-from rrr_oc.schema import with_nan
+from rrr_oc.schema import built
 
 ORDER = ["plain model", "search", *(f"search without part {k} of 3" for k in (1, 2, 3)), "held-out check"]
 
@@ -238,7 +238,7 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
     read = load_model(tmp_path / "model.json")
     assert read.spread is not None
     assert read.terms[-1].estimates[0] == replace(estimate, std=None, interval=None)
-    command._show_diagnosis(with_nan(content, DiagnosisFile), Output())
+    command._show_diagnosis(built(content, DiagnosisFile), Output())
 
 
 def test_a_stage_from_others_runs_nothing(recordings, whole, tmp_path):
