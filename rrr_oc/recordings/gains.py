@@ -22,7 +22,7 @@ def with_gains(file: Path, recordings: RecordingSet) -> RecordingSet:
     unknown = np.array([np.zeros(0) if r.loop is None else np.isnan(r.loop.kp) for r in recordings.recordings])
     if not unknown.any():
         return recordings
-    joints = [joint for joint, some in zip(recordings.joints, unknown.any(axis=0), strict=True) if some]
+    joints = [joint for j, joint in enumerate(recordings.joints) if unknown[:, j].any()]
     if recordings.inertial == "identify":
         raise UserError(
             f"{file}: kp of {', '.join(joints)} is not known, and the masses are not either (inertial 'identify'); recordings tell their "

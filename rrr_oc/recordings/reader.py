@@ -212,7 +212,7 @@ def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str
     t[known], batch = spread(t[known])
     needed = [i for i, name in enumerate(used) if not name.startswith(RATES) and name != "t"]
     filled = []
-    if np.mean(np.isfinite(values[needed]).all(axis=0)[known]) < SHARED:
+    if np.mean(np.isfinite(values[needed][:, known]).all(axis=0)) < SHARED:
         for i in needed:
             given = values[i].copy()
             values[i] = at_every_row(t, given, used[i].startswith("q_"))

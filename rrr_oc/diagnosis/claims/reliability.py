@@ -17,7 +17,15 @@ from scipy.special import expit
 from rrr_oc.diagnosis.knobs import LIKELY
 from rrr_oc.diagnosis.result import Finding
 
-NAMES = ("constant", "log odds", "lower end of the fall", "what functions explain more", "rivals", "error over noise", "size")
+NAMES = (
+    "constant",
+    "log odds",
+    "lower end of the fall",
+    "what functions explain more",
+    "rivals",
+    "share of what is left that is no noise",
+    "size",
+)
 LEAST, MOST = 1e-3, 0.999  # that are said: the cases are some hundred
 
 
@@ -78,7 +86,7 @@ def features(
             np.clip(max(lows, default=0.0), -0.2, 1.0),
             1 - np.clip(1.0 if reach is None else reach, 0.0, 1.0),
             np.log1p(rivals),
-            0.5 * np.log1p(max(rest, 0.0) / max(noise, 1e-12)),
+            max(rest, 0.0) / max(max(rest, 0.0) + noise, 1e-12),
             np.log(max(size, 1e-4)),
         ]
     )
