@@ -25,13 +25,8 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
 SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # [s], of the regressors; doubled, fast motion biases the estimates
-LONGER = (
-    1.0,
-    1.4,
-    2.0,
-    2.8,
-    4.0,
-)  # times the window of the speed that are tried; one more, coarser encoders are smoothed enough
+# Times the window of the speed that are tried; with one more, coarser encoders are smoothed enough
+LONGER = (1.0, 1.4, 2.0, 2.8, 4.0)
 STRIDE = 0.04  # [s] between the rows that are kept; doubled, half as many rows, which lose what the filter lets through
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
 SHORTEST = 0.6  # [s], least length of a segment: three times the common filter; doubled, short segments are lost
@@ -260,12 +255,7 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
 
 def _cut(recording: Recording) -> np.ndarray:
     """Where the recorded torque is cut off at a limit, (n, K); none of torques that a loop gives."""
-    cut = np.zeros(recording.tau.shape, bool)
-    for j, tau in enumerate(recording.tau if recording.command is None else ()):
-        found = cut_off(tau)
-        if found is not None:
-            cut[j] = np.abs(tau) >= found[0] * (1 - 1e-9)
-    return cut
+    return np.array([cut_off(tau) & (recording.command is None) for tau in recording.tau])
 
 
 def _speed(t: np.ndarray, q: np.ndarray, least: int) -> np.ndarray:

@@ -18,10 +18,8 @@ CUT_LEVEL, CUT_TIMES = (
     0.01,
     6.0,
 )  # the share of the range below it that has so many times fewer rows; a sine's peak has 2.4 times
-SPIKE, USUAL = (
-    10.0,
-    0.99,
-)  # times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
+# Times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
+SPIKE, USUAL = 10.0, 0.99
 FAR = 5.0  # steps from sample to sample, usual ones or around it, below which a deviation is none; doubled, small spikes stay
 AGAIN = 0.5  # share of a recording's rows that stand in another one; doubled, copies of the half pass
 
@@ -81,8 +79,8 @@ def _longest_stay(t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> tuple[float, 
     return (float(t[begins[k]]), float(t[ends[k]]), float(ways[k])) if enough else (0.0, 0.0, 0.0)
 
 
-def cut_off(torque: np.ndarray) -> tuple[float, float] | None:
-    """The size at which a torque (K,) is cut off, and the share of rows there; None where it is not.
+def cut_off(torque: np.ndarray) -> np.ndarray:
+    """Where a torque (K,) is cut off, (K,); nowhere unless there is a limit.
 
     So many rows in a row have exactly this size, and so few are a little below, as is so of no sampled motion, whatever its resolution.
     """
@@ -91,12 +89,12 @@ def cut_off(torque: np.ndarray) -> tuple[float, float] | None:
     near = (size > (1 - CUT_LEVEL) * largest) & ~at
     levels = np.unique(size[size > (1 - 10 * CUT_LEVEL) * largest])
     if len(levels) < 3:  # so few that the next one says nothing
-        return None
+        return np.zeros_like(at)
     below = np.sum(near) if near.any() else np.sum(size == levels[-2])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at, [0]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
     cut = largest > 0 and longest >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
-    return (largest, float(np.mean(at))) if cut else None
+    return at & cut
 
 
 def spikes(q: np.ndarray) -> np.ndarray:

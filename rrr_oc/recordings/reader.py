@@ -24,10 +24,8 @@ from rrr_oc.storage import resolved
 
 RATES = ("dq_", "ddq_")
 SHARED = 0.5  # share of rows with all signals below which these are sampled at times of their own; doubled, rows marked as wrong are filled
-JUMP, LEAST_JUMP = (
-    10.0,
-    0.02,
-)  # times its fastest steps, and [rad], by which a position jumps; doubled, small jumps pass for motion
+# Times its fastest steps and those beside it, and [rad], by which a position jumps; doubled, small jumps pass for motion
+JUMP, LEAST_JUMP = 10.0, 0.02
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -87,7 +85,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = np.array(table.columns(used))
     mended = dict[str, str]()
-    batch = _settle_times(used, values, mended)
+    _settle_times(used, values, mended)
     _drop_spikes(used, values, robot.joints, mended)
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
@@ -115,7 +113,7 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates, batch=batch,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, faults=wrong, rates=rates,
             mended=mended, command=None if loop is None else signal, loop=loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
@@ -195,14 +193,14 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
     return rows
 
 
-def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str]) -> float:
-    """Give every row a time of its own, and every row the signals that are sampled at other times; returns the samples of a batch.
+def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str]) -> None:
+    """Give every row a time of its own, and the signals that are sampled at other times.
 
     Rows that stand there again, with all they hold, have none.
     """
     t = values[used.index("t")]
     if not len(t):
-        return 1.0
+        return
     same = (values[:, 1:] == values[:, :-1]) | (np.isnan(values[:, 1:]) & np.isnan(values[:, :-1]))
     again = np.concatenate([[False], np.all(same, axis=0)])
     if again.any() and np.array_equal(again[1:], np.diff(t) == 0):
@@ -210,6 +208,8 @@ def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str
         mended["again"] = f"{np.sum(again)} rows stand there again and are left out"
     known = np.isfinite(t)
     t[known], batch = spread(t[known])
+    if batch > 1:
+        mended["batches"] = f"samples are stamped in batches of {batch:g}; their times are spread"
     needed = [i for i, name in enumerate(used) if not name.startswith(RATES) and name != "t"]
     filled = []
     if np.mean(np.isfinite(values[needed][:, known]).all(axis=0)) < SHARED:
@@ -219,7 +219,6 @@ def _settle_times(used: Sequence[str], values: np.ndarray, mended: dict[str, str
             filled += [used[i]] * (not np.array_equal(given, values[i], equal_nan=True))
     if filled:
         mended["rates"] = f"{', '.join(filled)} are sampled at times of their own, and taken between these at those of all rows"
-    return batch
 
 
 def _split(columns: Mapping[str, np.ndarray], joints: Sequence[str], mended: dict[str, str]) -> tuple[slice, ...]:
@@ -409,5 +408,5 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
     if recording.loop is None:
         plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
     else:
-        plausibility.check_loop(where, robot, np.nan_to_num(r.tau))
+        plausibility.check_loop(where, robot, np.nan_to_num(r.tau))  # NaN without a kp, which is estimated from all recordings
     plausibility.check_changes(where, r.q, np.where(np.isnan(r.tau), r.q, r.tau))

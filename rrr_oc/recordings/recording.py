@@ -33,7 +33,6 @@ class Recording(Motion):
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
         faults: What looks wrong in the file's positions and speeds, a part of a sentence each.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
-        batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
         mended: What the logger did to the file and the reader has undone, a part of a sentence each, by kind.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
@@ -51,7 +50,6 @@ class Recording(Motion):
     filled: tuple[tuple[str, int], ...] = ()
     faults: tuple[str, ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
-    batch: float = 1.0
     mended: Mapping[str, str] = field(default_factory=dict)
     command: np.ndarray | None = None
     loop: Loop | None = None
@@ -120,12 +118,9 @@ class RecordingSet:
             nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)
             rows = sum(len(r.t) for r in incomplete) + nan + short
             notes.append(
-                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN or of unknown time, "
-                f"{short} in pieces too short for a derivative)"
+                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, of unknown time, "
+                f"that stand there again or jump away and back; {short} in pieces too short for a derivative)"
             )
-        batched = [r for r in self.recordings if r.batch > 1]
-        if batched:
-            notes.append(f"{_named(batched)}: samples are stamped in batches of {batched[0].batch:g}; their times are spread")
         for kind in dict.fromkeys(kind for r in self.recordings for kind in r.mended):
             some = [r for r in self.recordings if kind in r.mended]
             notes.append(f"{_named(some)}: {some[0].mended[kind]}")
@@ -199,10 +194,10 @@ class RecordingSet:
         """Encoders that stand still, joints that are not listed and move, torques that are cut off, and recordings that are there twice."""
         doubts = [f"{r.file}: {fault}" for r in self.recordings for fault in r.faults]
         for j, joint in enumerate(self.joints):
-            cut = [(r, found) for r in self.recordings if r.command is None and (found := faults.cut_off(r.tau[j])) is not None]
+            cut = [(r, rows) for r in self.recordings if r.command is None and (rows := faults.cut_off(r.tau[j])).any()]
             if cut:
                 column, unit = f"{EFFORTS.get(self.torque, 'tau')}_{joint}", UNIT_OF.get(self.torque, "Nm")
-                size, share = max((found for _, found in cut), key=lambda found: found[1])
+                share, size = max((float(np.mean(rows)), float(np.max(np.abs(r.tau[j])))) for r, rows in cut)
                 where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
                 doubts.append(
                     f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger there; these rows of the joint do not count"

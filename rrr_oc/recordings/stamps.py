@@ -10,9 +10,8 @@ from rrr_oc.numerics.savitzky_golay import GAP, local_polynomial
 TOGETHER = 0.1  # of the mean step, below which two samples were handed over at once; doubled, jitter counts as that
 BATCHED = 0.3  # share of such steps from which samples came in batches; doubled, batches of two are no batches
 LEAST = 8  # samples, and batches, from which these are told
-SMOOTHER = (
-    0.95  # residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
-)
+# Residual of positions at even times over that at the stamps, below which stamps jitter; at .9, jitter of 1 ms stays
+SMOOTHER = 0.95
 CUBIC = 9  # samples of a window of that residual; doubled, fast motion hides the jitter
 JUMP = 3.0  # resolutions by which a position jumps that is fast: such steps follow each other row by row; doubled, fewer count
 REPEATED = 0.15  # share of fast changes that follow a row without one, from which positions are repeated; doubled, a third of rows may be
@@ -60,23 +59,21 @@ def even(t: np.ndarray, q: np.ndarray, segments: Sequence[slice]) -> tuple[np.nd
     q (n, K) [rad] are smoother at even times than at the stamps, the former are used; where sampling itself is uneven, and the stamps are
     right, they are not.
     """
-    times = np.array(t)
-    for s in segments:
-        if s.stop - s.start >= 2 * CUBIC:
-            times[s] = _grid(t[s], float(np.median(np.diff(t[s]))))
-    off = np.concatenate([(t - times)[s] for s in segments])
-    long = [s for s in segments if s.stop - s.start >= 2 * CUBIC and np.all(np.diff(times[s]) > 0)]
-    if np.std(off) < ROUNDED * np.median(np.diff(t)) or len(long) < sum(s.stop - s.start >= 2 * CUBIC for s in segments):
+    times, long = np.array(t), [s for s in segments if s.stop - s.start >= 2 * CUBIC]
+    for s in long:
+        times[s] = _grid(t[s], float(np.median(np.diff(t[s]))))
+    jitter = float(np.std(t - times))
+    if jitter < ROUNDED * np.median(np.diff(t)) or any(np.any(np.diff(times[s]) <= 0) for s in long):
         return t, 0.0
     with np.errstate(all="ignore"):
         left = [
             np.concatenate([q[:, s] - local_polynomial(x[s], q[:, s], 0, 3, CUBIC) for s in long], axis=1) for x in (times, t)
         ]
-        ratio = [np.sqrt(np.mean(np.square(x), axis=1)) for x in left]
-    moves = ratio[1] > 0
-    if not moves.any() or not float(np.exp(np.mean(np.log(ratio[0][moves] / ratio[1][moves])))) < SMOOTHER:
+        at_even, at_stamps = (np.sqrt(np.mean(np.square(x), axis=1)) for x in left)
+    moves = at_stamps > 0
+    if not moves.any() or not float(np.exp(np.mean(np.log(at_even[moves] / at_stamps[moves])))) < SMOOTHER:
         return t, 0.0
-    return times, float(np.std(off))
+    return times, jitter
 
 
 def _grid(t: np.ndarray, step: float) -> np.ndarray:
