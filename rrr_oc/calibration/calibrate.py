@@ -15,6 +15,7 @@ import numpy as np
 from msgspec.structs import replace as told_with
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.clocks import clock_lags, on_one_clock
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
@@ -44,7 +45,10 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
 def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     """All parameters of a model's terms and the errors of its links, from the values that they have."""
     began, whole = time.perf_counter(), prepare(recordings)
-    model = first_estimate(recordings, whole, nominal)
+    model, lags = first_estimate(recordings, whole, nominal)
+    if lags.any():
+        recordings = on_one_clock(recordings, lags)
+        whole = prepare(recordings)
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))
@@ -70,15 +74,28 @@ def if_identified(recordings: RecordingSet, prepared: Sequence[Prepared], fitter
 
 def first_estimate(
     recordings: RecordingSet, whole: Sequence[Prepared], nominal: CalibratedModel, exact: bool = False
-) -> CalibratedModel:
-    """A model fitted about a nominal one to a part of the recordings, from which spikes and the size of a discrepancy can be judged.
+) -> tuple[CalibratedModel, np.ndarray]:
+    """A model fitted about a nominal one to a part of the recordings, from which spikes and the size of a discrepancy can be judged, and
+    the lags of torques that have clocks of their own (R, 2) [s], without which it is fitted.
 
     Args:
         exact: Whether the links of a URDF are known exactly.
     """
+    fitter, fitted = _of_some(recordings, whole, nominal, exact)
+    lags = clock_lags(whole, fitter.least_squares(fitted).model)
+    if lags.any():
+        again = on_one_clock(recordings, lags)
+        _, fitted = _of_some(again, prepare(again), nominal, exact)
+    return fitted.model, lags
+
+
+def _of_some(
+    recordings: RecordingSet, whole: Sequence[Prepared], nominal: CalibratedModel, exact: bool
+) -> tuple[PlainFitter, Fitted]:
+    """A fit to a part of the recordings."""
     fitter = PlainFitter.of(data_of(recordings, shortened(whole), nominal, nominal, exact))
     levels = fitter.fit(nominal, fitter.data.links.none)  # of friction, before which nothing is known of how it changes sign
-    return fitter.with_signs(fitter.fit(levels.model, levels.links, levels.posterior)).model
+    return fitter, fitter.with_signs(fitter.fit(levels.model, levels.links, levels.posterior))
 
 
 def data_of(

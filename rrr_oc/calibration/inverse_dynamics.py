@@ -14,6 +14,7 @@ import numpy as np
 
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
+from rrr_oc.calibration.clocks import said_of_clocks
 from rrr_oc.calibration.measurement import measurement
 from rrr_oc.calibration.prediction_error import error, mean_nrmse
 from rrr_oc.calibration.samples import Prepared, noise
@@ -60,5 +61,5 @@ def finished(
         error(r.t, recordings.output_torque(r), model.predicted_torque(r), r.segments)["nrmse"] for r in recordings.recordings
     ]
     more = {"wall_s": time.perf_counter() - began, "recordings": [r.file for r in recordings.recordings]}
-    more["measurement"] = measurement(recordings, model)
+    more |= {"measurement": measurement(recordings, model), "clocks": said_of_clocks(recordings)}
     return replace(model, noise=noise(prepared, model), nrmse=mean_nrmse(np.array(errors)), report=report | more)

@@ -20,7 +20,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics, samples_before
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
-from rrr_oc.recordings.faults import cut_off
+from rrr_oc.recordings.faults import cut_off, zeroed
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
@@ -35,6 +35,7 @@ THIN = 0.012  # [s] between samples where many models are compared; doubled, hal
 LONGEST = 1200.0  # [s]: the most data on which many models are compared; doubled, twice the time
 PIECE = 10.0  # [s] of the pieces of which parts of recordings are made; doubled, fewer motions are in them
 SOME = 60.0  # [s] of recordings on which a first model is fitted; doubled, long recordings take twice the time
+TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SHORTEST_PIECE = 2.0  # [s] of a piece; doubled, pieces of many recordings take twice the time
 GOLDEN = 0.618034  # by which pieces of one recording after the other lie later: evenly over all times
 SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
@@ -66,7 +67,7 @@ class Prepared:
         recording: The recording with speeds and accelerations from short windows.
         measured: Recorded torque at the joints' output (n, K) [Nm].
         moving: Where each joint moves and no window of its motion reaches into a rest, (n, K). At rest, dry friction takes any
-            value below its level, so samples at rest do not count; nor do those at which the recorded torque is cut off.
+            value below its level, so samples at rest do not count; nor do those at which the recorded torque is cut off, or 0 in a dead band.
         window: Window of the common filter [s].
         spikes: Number of samples of `measured` that were replaced, (n,).
     """
@@ -86,6 +87,11 @@ class Prepared:
     def counted(self) -> np.ndarray:
         """Rows that count: of those kept, the ones to which samples in motion contribute at least half, (n, kept)."""
         return (self.matrix @ self.moving.T.astype(float)).T > 0.5
+
+    @cached_property
+    def turning_share(self) -> np.ndarray:
+        """Share of a row's filter on samples at which a joint turns, (n, kept)."""
+        return (self.matrix @ _turning(self.recording).T.astype(float)).T
 
     def filter_of(self, joint: int, delay: float = 0.0) -> csr_matrix:
         """The common filter of a joint's torques that are recorded late [s] and count while it moves, (kept, K)."""
@@ -254,8 +260,8 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
 
 
 def _cut(recording: Recording) -> np.ndarray:
-    """Where the recorded torque is cut off at a limit, (n, K); none of torques that a loop gives."""
-    return np.array([cut_off(tau) & (recording.command is None) for tau in recording.tau])
+    """Where the recorded torque is cut off at a limit or in a dead band, (n, K); none of torques that a loop gives."""
+    return np.array([(cut_off(tau) | zeroed(tau)) & (recording.command is None) for tau in recording.tau])
 
 
 def _speed(t: np.ndarray, q: np.ndarray, least: int) -> np.ndarray:

@@ -62,6 +62,8 @@ def calibrate(
     save_model(model, out / "model.json")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))
     _show_model(model, output)
+    for said in model.report["clocks"]:
+        output.note(f"Note: {said}.")
     for warning in unexplained_torques(model):
         output.note(
             f"{warning}; if they are right, the arm has physics that this model lacks, and rrr-oc diagnose {shlex.quote(str(dataset))} "

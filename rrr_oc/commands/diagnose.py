@@ -85,6 +85,8 @@ def diagnose(
         content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
     _show_diagnosis(built(content, DiagnosisFile), output)
+    for said in found.model.report["clocks"]:
+        output.note(f"Note: {said}.")
     for warning in unexplained_torques(found.model):
         output.note(f"{warning}.")
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")

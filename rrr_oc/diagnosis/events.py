@@ -1,7 +1,7 @@
 """Stretches of time in which a joint's torque is explained by nothing: pushes, contacts, catches.
 
 A friction that sticks or a play that closes leaves large errors for some tenths of a second, too. But these come again where angle,
-speed, acceleration and load do; an event does not.
+speed, acceleration and load do; an event does not. And where a joint turns an event is more than what friction may be there.
 """
 
 import itertools
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.spatial import KDTree
 
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import EVERY, Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.samples import STRIDE, Prepared, kept_rows
@@ -42,12 +43,18 @@ def events(fitted: Fitted) -> list[Event]:
     signals = signals_at_rows(data, model)
     state = np.array([signals[name][0] for name in STATE])
     t, result = times(data), list[Event]()
+    # where a joint turns, dry friction takes any value up to its level of either sign
+    dry = np.zeros(data.n)
+    for term in model.terms:
+        if term.effect.sign_forms:
+            dry[list(term.effect.joints)] += abs(term.values[0])
     number = np.repeat(np.arange(len(data.edges) - 1), np.diff(data.edges))
     for j, joint in enumerate(model.joints):
         counted = data.counted[j]
         if counted.sum() < LEAST:
             continue
         sudden = np.where(counted, fitted.residual[j] - _slow(data, fitted.residual[j]), 0.0)
+        sudden = np.sign(sudden) * np.maximum(np.abs(sudden) - 2 * dry[j] * data.turning_share[j], 0.0)
         own = state[:, j] / np.maximum(state[:, j, counted].std(axis=1, keepdims=True), 1e-12)
         at = np.array([t, number * 2 * (t.max() + SLOW) + t])
         stretches = _stretches_of(data, sudden, own, at, counted, SHARE * data.torque[j])
@@ -81,6 +88,17 @@ def unlike_laws(search: StructureSearch, begin: Fitted, some: Sequence[Event]) -
         sizes = [float(np.linalg.norm(x[j, at])) for x in left]
         result += own if min(sizes) > EXPLAINED * sizes[0] else []
     return result
+
+
+def unexplained_events(data: Data, plain: CalibratedModel, model: CalibratedModel, some: Sequence[Event]) -> list[Event]:
+    """Those events that a model leaves which was found without them; `data` are all, and the plain model is one of them."""
+    before, after = data.residual(plain), data.residual(model)
+
+    def left(e: Event) -> bool:
+        j, rows = plain.joints.index(e.joint), rows_of(data, e)
+        return bool(np.linalg.norm(after[j, rows]) > EXPLAINED * np.linalg.norm(before[j, rows]))
+
+    return [e for e in some if left(e)]
 
 
 def rows_of(data: Data, event: Event) -> np.ndarray:

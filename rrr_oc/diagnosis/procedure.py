@@ -9,6 +9,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrate import data_of, first_estimate
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.clocks import on_one_clock
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
@@ -21,7 +22,7 @@ from rrr_oc.diagnosis.claims.classes import separated, with_links
 from rrr_oc.diagnosis.claims.dependence import by_degree
 from rrr_oc.diagnosis.claims.effect_size import LeftOut, confirmed, predictive
 from rrr_oc.diagnosis.claims.reliability import judged
-from rrr_oc.diagnosis.events import events, unlike_laws, without
+from rrr_oc.diagnosis.events import events, unexplained_events, unlike_laws, without
 from rrr_oc.diagnosis.findings import found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import errors_of, joints_made_worse, nrmse, repeated
@@ -40,7 +41,6 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
-AGAIN = "search with the delay that was found"
 ALIKE = 0.001  # by how much the delay that a search ends with may differ from that with which it was made [s]
 
 
@@ -60,16 +60,24 @@ def diagnose(
     Raises:
         UserError: The recordings are too short for the filter.
     """
-    stages = Stages(recordings, plain_model(recordings), kept, Progress(SHARES, report))
-    return stages.once(CHECK, lambda: _made(priors or Priors(), stages))
+    priors = priors or Priors()
+    stages, model = _begin(Stages(recordings, plain_model(recordings), kept, Progress(SHARES, report)), priors)
+    return stages.once(CHECK, lambda: _made(stages, model, priors))
 
 
-def _made(priors: Priors, stages: Stages) -> Diagnosis:
-    """All stages up to the check on held-out recordings."""
+def _made(stages: Stages, model: CalibratedModel, priors: Priors) -> Diagnosis:
+    """All stages from the first estimate up to the check on held-out recordings."""
     recordings, failed = stages.recordings, dict[str, str]()
-    whole, fitter, every, _ = ready(recordings, priors, stages)
+    whole, fitter, every = _ready(stages, model, priors)
+    every_row = fitter.data
     fitter, first, disturbed = _begun(fitter, every, stages.start)
     begin, search, complete, findings, possible, refuted = _settled(fitter, every, first, stages)
+    still = unexplained_events(every_row, first.model, complete.model, disturbed) if findings else disturbed
+    if len(still) < len(disturbed):
+        # what looked like events is explained, and takes part
+        fitter, disturbed = replace(fitter, data=every_row.of(without(every_row.prepared, first.model.joints, still))), still
+        first = fitter.begin(stages.start)
+        begin, search, complete, findings, possible, refuted = _settled(fitter, every, first, stages, "search with all rows")
     complete, findings, worse = _by_degree(search, begin, complete, findings)
     large, small = [f for f in findings if f.matters], [f for f in findings if not f.matters]
     large, undecided, as_good = separated(search, complete, large, small, failed)
@@ -153,11 +161,11 @@ def _with(fitter: Fitter, complete: Fitted, findings: Sequence[Finding]) -> Fitt
 
 
 def _settled(
-    fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages
+    fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages, name: str = "search"
 ) -> tuple[Fitted, StructureSearch, Fitted, list[Finding], list[Possible], list[Finding]]:
     """The plain fit and a search under one delay of all torques, that of the model with what predicts; the fit with that, it, and what is
     possible and what does not predict."""
-    delay, name = fitter.delay_of(plain), "search"
+    delay, again = fitter.delay_of(plain), f"{name} with the delay that was found"
     while True:
         holding, begin = fitter.holding(delay, plain)
         search, at = _searched(holding, every, begin, stages, name)
@@ -169,9 +177,9 @@ def _settled(
         findings, out = predictive(LeftOut(search.neighbours(complete)), findings)
         complete, findings, worse = confirmed(search, begin, complete, findings)
         last, delay = delay, fitter.delay_of(complete) if findings else delay
-        if abs(delay - last) < ALIKE or name == AGAIN:
+        if abs(delay - last) < ALIKE or name == again:
             return begin, search, complete, findings, possible, [*out, *worse]
-        name = AGAIN
+        name = again
 
 
 def _searched(
@@ -196,15 +204,24 @@ def _searched(
     return search, search.path[-1]
 
 
-def ready(
-    recordings: RecordingSet, priors: Priors, stages: Stages | None = None
-) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
+def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
     """All samples, what fits models to the recordings, the trials of the catalogue, and the plain model to start from."""
-    stages = stages or Stages(recordings, plain_model(recordings))
-    whole, nominal, exact = prepare(recordings), stages.start, priors.exact_inertias
-    stages.progress.tell("plain model")
+    stages, model = _begin(Stages(recordings, plain_model(recordings)), priors)
+    return *_ready(stages, model, priors), replace(model, robot=stages.start.robot)
 
-    model = stages.once("plain model", lambda: first_estimate(recordings, whole, nominal, exact))
+
+def _begin(stages: Stages, priors: Priors) -> tuple[Stages, CalibratedModel]:
+    """The stages of the recordings on one clock, and a first estimate of the plain model."""
+    recordings, start, exact = stages.recordings, stages.start, priors.exact_inertias
+    stages.progress.tell("plain model")
+    model, lags = stages.once("plain model", lambda: first_estimate(recordings, prepare(recordings), start, exact))
+    return replace(stages, recordings=on_one_clock(recordings, lags)), model
+
+
+def _ready(stages: Stages, model: CalibratedModel, priors: Priors) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...]]:
+    """All samples, what fits models to the recordings, and the trials of the catalogue."""
+    recordings, nominal, exact = stages.recordings, stages.start, priors.exact_inertias
+    whole = prepare(recordings)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
     # a link whose errors are parameters needs no effect that says the same, and whose result need not be a body
@@ -214,7 +231,7 @@ def ready(
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
-    return whole, Fitter(data, plain_std(data), seen, families, priors), every, replace(model, robot=nominal.robot)
+    return whole, Fitter(data, plain_std(data), seen, families, priors), every
 
 
 def _late(fitter: Fitter, fitted: Fitted) -> tuple[Finding, ...]:

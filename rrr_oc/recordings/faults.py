@@ -18,6 +18,8 @@ CUT_LEVEL, CUT_TIMES = (
     0.01,
     6.0,
 )  # the share of the range below it that has so many times fewer rows; a sine's peak has 2.4 times
+# Sizes of a torque from which its resolution is known, and times this, a gap about 0 that makes a dead band; doubled, small ones stay
+LEVELS, BAND = 8, 3.0
 # Times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
 SPIKE, USUAL = 10.0, 0.99
 FAR = 5.0  # steps from sample to sample, usual ones or around it, below which a deviation is none; doubled, small spikes stay
@@ -95,6 +97,21 @@ def cut_off(torque: np.ndarray) -> np.ndarray:
     longest = int(np.max(edges[1::2] - edges[::2]))
     cut = largest > 0 and longest >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
     return at & cut
+
+
+def zeroed(torque: np.ndarray) -> np.ndarray:
+    """Where a torque (K,) is 0 since it is small, as in the dead band of a drive, (K,); nowhere unless there is such a band.
+
+    Many rows are 0 and none is a little off it: the smallest other size is that of many steps of the resolution, below which as many rows
+    would lie as between it and twice that.
+    """
+    size = np.abs(torque)
+    at, others = size == 0, np.unique(size[size > 0])
+    if len(others) < LEVELS or np.mean(at) < CUT_ROWS:
+        return np.zeros_like(at)
+    band = float(others[0])
+    above, step = np.sum((size >= band) & (size < 2 * band)), np.median(np.diff(others[:LEVELS]))
+    return at & (band > BAND * step) & (np.sum(at) > above / ALIKE)
 
 
 def spikes(q: np.ndarray) -> np.ndarray:

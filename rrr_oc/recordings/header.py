@@ -117,7 +117,7 @@ class Header(Schema, frozen=True):
             "command": commanded angles q_d [rad] of a loop that gives kp (q_d − q) − kd dq.
         inertial: Whether the URDF's masses and inertias are about right ("nominal") or unknown ("identify").
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
-        tool: Where a payload is held; by default the last link's tool frame.
+        tool: Where a payload is held; by default the last link's tool frame, or twice as far as its centre of mass where it has none.
         actuators: Drives by joint.
         fixed_deg: Angles of joints that are not recorded [°]; 0 for those left out, or the middle of a range that lacks 0.
         coupling: Columns that are sums of joints, where they are.

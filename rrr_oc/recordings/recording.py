@@ -140,7 +140,7 @@ class RecordingSet:
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if default and any(np.any(r.payload > 0) for r in self.recordings):
             notes.append(
-                f"the payload is held at the frame of link {self.robot.tool_link!r}, "
+                f"the payload is held at the tool of link {self.robot.tool_link!r}, "
                 f"{np.linalg.norm(self.tool.position):.3g} m from {self.joints[self.tool.joint]}; 'tool' says where else it may be"
             )
         return tuple(notes)
@@ -194,13 +194,20 @@ class RecordingSet:
         """Encoders that stand still, joints that are not listed and move, torques that are cut off, and recordings that are there twice."""
         doubts = [f"{r.file}: {fault}" for r in self.recordings for fault in r.faults]
         for j, joint in enumerate(self.joints):
+            column, unit = f"{EFFORTS.get(self.torque, 'tau')}_{joint}", UNIT_OF.get(self.torque, "Nm")
             cut = [(r, rows) for r in self.recordings if r.command is None and (rows := faults.cut_off(r.tau[j])).any()]
             if cut:
-                column, unit = f"{EFFORTS.get(self.torque, 'tau')}_{joint}", UNIT_OF.get(self.torque, "Nm")
                 share, size = max((float(np.mean(rows)), float(np.max(np.abs(r.tau[j])))) for r, rows in cut)
                 where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
                 doubts.append(
                     f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger there; these rows of the joint do not count"
+                )
+            band = [(r, rows) for r in self.recordings if r.command is None and (rows := faults.zeroed(r.tau[j])).any()]
+            if band:
+                share, size = max((float(np.mean(rows)), float(np.min(np.abs(r.tau[j][~rows])))) for r, rows in band)
+                doubts.append(
+                    f"{_named([r for r, _ in band])}: {column} is 0 where it is below {size:.2g} {unit}, in up to {100 * share:.2g} % of the "
+                    "rows, as in a drive's dead band; these rows of the joint do not count"
                 )
         for later, earlier, share in faults.repeated([np.concatenate([r.q, r.tau]) for r in self.recordings]):
             names = self.recordings[later].file, self.recordings[earlier].file

@@ -30,6 +30,8 @@ BUNDLED = ("rrr", "rrr_prototype")
 DENSEST = 2e4  # [kg/m³] of a cube as large as a link, nearly that of osmium; doubled, fewer masses in g are found
 SMALLEST = 0.15  # [m] of such a cube, so that short heavy wrists pass; doubled, links below 500 kg do
 ROUNDED = 1e-6  # [rad] by which an angle may lie outside a range that is told in few digits; doubled, nothing changes
+NEARLY = 0.05  # of the largest moment of inertia, by which a file may miss those of a body, as usual errors are; doubled, coarser files pass
+FLAT = 1e-3  # second moment of mass across a body over that along it, at least
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s²] in the base frame, where nothing says another
 _TOOL = re.compile(  # usual names of a tool frame
     r"(^|[_/])(tool0?|tcp|ee|end_effector|flange|attachment|attachment_site)($|[_/])", re.IGNORECASE
@@ -158,10 +160,10 @@ def load_robot(
     model = _chain(name, _parse(name, elements, joints), joints, turning)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
-    parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
     if inertial:
         _check_masses(name, model, masses)
-        _check_inertial(name, model, parameters)
+        notes += _check_inertial(name, model)
+    parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
     last, ranges = model.njoints - 2, model.lowerPositionLimit < model.upperPositionLimit
     robot = Robot(
@@ -175,7 +177,7 @@ def load_robot(
         upper=np.where(ranges, _with_infinities(model.upperPositionLimit), np.inf),
         velocity=_with_infinities(model.upperVelocityLimit),
         effort=np.where(model.upperEffortLimit > 0, _with_infinities(model.upperEffortLimit), np.inf),
-        tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
+        tool=ToolPoint(last, _tool_position(frames, last, parameters[:, last])),
         frames=frames,
         gravity=np.asarray(gravity, float),
         notes=notes,
@@ -460,21 +462,36 @@ def _check_masses(name: str, model: pin.Model, wrong: Mapping[str, str]) -> None
         )
 
 
-def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None:
-    for i in range(model.njoints - 1):
-        mass = parameters[0, i]
-        if not mass > 0:
+def _check_inertial(name: str, model: pin.Model) -> tuple[str, ...]:
+    """Give links that are nearly bodies the moments of inertia of a body, and a sentence on each.
+
+    Raises `UserError` for a link without mass, or one that is far from any body.
+    """
+    notes = []
+    for i in range(1, model.njoints):
+        body, link = model.inertias[i], _moved_link(model, i)
+        if not body.mass > 0:
             raise UserError(
-                f"robot {name!r}: link {_moved_link(model, i + 1)!r}, moved by joint {model.names[i + 1]!r}, has mass "
-                f'{mass:g} kg; a moving link needs a mass above 0, or a recording set says "inertial": "identify"'
+                f"robot {name!r}: link {link!r}, moved by joint {model.names[i]!r}, has mass "
+                f'{body.mass:g} kg; a moving link needs a mass above 0, or a recording set says "inertial": "identify"'
             )
-        inertia = model.inertias[i + 1].inertia
-        moments = np.linalg.eigvalsh(inertia)
-        if not possible(moments):
-            raise UserError(
-                f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
-                f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"
-            )
+        moments = np.linalg.eigvalsh(body.inertia)
+        if possible(moments):
+            continue
+        near = _nearest_inertia(body.inertia)
+        said = f"link {link!r} has principal moments of inertia {', '.join(f'{m:.3g}' for m in moments)} kg m²"
+        if np.abs(near - body.inertia).max() > NEARLY * moments[2]:
+            raise UserError(f"robot {name!r}: {said}; they must be positive and none above the sum of the other two")
+        model.inertias[i] = pin.Inertia(body.mass, body.lever, near)
+        notes.append(f"link {link!r} moves with the moments of inertia of the nearest body")
+    return tuple(notes)
+
+
+def _nearest_inertia(inertia: np.ndarray) -> np.ndarray:
+    """The inertia (3, 3) about a centre [kg m²] of a body whose mass lies about it nearly so: no second moment of mass is negative."""
+    values, vectors = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    spread = vectors @ np.diag(np.maximum(values, FLAT * values.max())) @ vectors.T
+    return np.trace(spread) * np.eye(3) - spread
 
 
 def too_dense(robot: Robot) -> tuple[str, ...]:
@@ -486,6 +503,12 @@ def too_dense(robot: Robot) -> tuple[str, ...]:
         if mass > DENSEST * size**3:
             notes.append(f"link {link!r} weighs {mass:.4g} kg, which nothing of its size, {size:.2g} m, does")
     return tuple(notes)
+
+
+def _tool_position(frames: Mapping[str, tuple[int, np.ndarray]], last: int, body: np.ndarray) -> np.ndarray:
+    """Origin of the tool's frame in the frame of the last joint (3,) [m]; in a file without one, twice as far as the last link's centre."""
+    own = frames[_tool_link(frames, last)][1][:3, 3]
+    return own if own.any() or not body[0] > 0 else 2 * body[1:4] / body[0]
 
 
 def _tool_link(frames: Mapping[str, tuple[int, np.ndarray]], last: int) -> str:

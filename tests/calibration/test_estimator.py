@@ -38,7 +38,7 @@ def test_links_of_which_nothing_is_known_are_fitted_to_the_minimum():
     plant, rng = Plant("rrr", *np.array([[5.0] * 3, [15.0] * 3, [0.2] * 3])), np.random.default_rng(4)
     recordings = as_set(plant, [record(plant, f"{i}.csv", rng, 12.0) for i in range(3)], "identify")
     fitter, nominal = fitter_of(recordings)
-    post = fitter._least_squares(fitter.begin(nominal)).posterior
+    post = fitter.least_squares(fitter.begin(nominal)).posterior
     before = post.misfit + post.prior_cost(0 * post.step)
     assert before - post.predicted(post.step) < 1.0  # of a likelihood in nats, doubled
 
@@ -60,7 +60,7 @@ def test_a_discrepancy_bends_parameters_as_least_squares_of_drawn_ones_are_bent(
     """Discrepancies of a known size are drawn, and fitted by least squares of noise and prior, as if there were none."""
     plant, rng = Plant("rrr", *np.array([[5.0] * 3, [15.0] * 3, [0.2] * 3])), np.random.default_rng(6)
     fitter, nominal = fitter_of(as_set(plant, [record(plant, f"{i}.csv", rng, 12.0) for i in range(2)]))
-    post = fitter._least_squares(fitter.begin(nominal)).posterior
+    post = fitter.least_squares(fitter.begin(nominal)).posterior
     size, draws = np.array([0.2, 0.5, 1.0]), 600
     places, sigma = [place >= 0 for place in post.data.place], post.hyper.sigma
     design = [x[at] / s for x, at, s in zip(post.columns, places, sigma, strict=True)]

@@ -448,3 +448,15 @@ def test_a_xacro_is_expanded_where_the_tool_is(tmp_path, monkeypatch):
     tool.write_text("#!/bin/sh\necho No such file: arm.xacro >&2\nexit 2\n")
     with pytest.raises(UserError, match=r"xacro refuses it: No such file: arm\.xacro"):
         load_robot(tmp_path / "arm.xacro")
+
+
+def test_moments_of_inertia_that_are_nearly_those_of_a_body_become_so(load):
+    """Files round, and round up: 0.12 + 1.79 is less than 1.92."""
+    found = load(robot(link("base", 0), link("l1", 1.0, (0.00012, 0.00179, 0.00192), "0 0 0"), joint("j1", "base", "l1")))
+    assert any("gives link 'l1' the principal moments of inertia 0.00012, 0.00179, 0.00192" in said for said in found.notes)
+    assert "link 'l1' moves with the moments of inertia of the nearest body" in found.notes
+    xx, _, yy, _, _, zz = found.inertial[4:, 0]
+    assert zz < xx + yy
+    np.testing.assert_allclose([xx, yy, zz], [0.00012, 0.00179, 0.00192], atol=1.5e-5)
+    with pytest.raises(UserError, match="none above the sum"):
+        load(robot(link("base", 0), link("l1", 1.0, (0.001, 0.001, 0.01)), joint("j1", "base", "l1")))

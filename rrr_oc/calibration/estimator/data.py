@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY, PAST
 from rrr_oc.calibration.regression import Rows, filtered, filtered_residuals, rows
-from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
+from rrr_oc.calibration.samples import STRIDE, TURNS, Prepared, kept_rows
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.recordings.recording import Recording
@@ -20,7 +20,6 @@ from rrr_oc.robot.link_errors import LinkErrors
 ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
 LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
-TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
 EARLY = 0.005  # [s] by which friction may change sign before or after the motion turns; doubled, inertia is known less well
 LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
@@ -182,10 +181,14 @@ class Data:
         return self._friction[form, width]
 
     @cached_property
+    def turning_share(self) -> np.ndarray:
+        """Share of a row's filter on samples at which a joint turns, (n, M)."""
+        return np.concatenate([p.turning_share for p in self.prepared], axis=1)[:, self.at]
+
+    @cached_property
     def turning(self) -> np.ndarray:
         """Rows at which a joint turns, (n, M)."""
-        parts = [(p.matrix @ _turning(p.recording).T.astype(float)).T for p in self.prepared]
-        return np.concatenate(parts, axis=1)[:, self.at] > TURNS
+        return self.turning_share > TURNS
 
     @cached_property
     def place(self) -> np.ndarray:

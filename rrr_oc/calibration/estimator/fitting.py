@@ -122,7 +122,7 @@ class PlainFitter:
         which laws that are not there would make up elsewhere; and a law that is missing looks like a delay of its joint. One clock takes
         the torques of all joints.
         """
-        free = replace(self, holds_delays=False)._least_squares(fitted)
+        free = replace(self, holds_delays=False).least_squares(fitted)
         at = delays_of(free)
         return weighted_median(free.model.values[at], 1 / (variances_of_delays(free) + APART**2)) if len(at) else 0.0
 
@@ -253,9 +253,9 @@ class PlainFitter:
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum in slow motion of what is left, as friction and inertia
         are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
-        near = self._least_squares(fitted)
+        near = self.least_squares(fitted)
         cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
-        found = replace(self, data=cleared, holds_delays=True)._least_squares(near, fitted)
+        found = replace(self, data=cleared, holds_delays=True).least_squares(near, fitted)
         of_noise, of_loops = bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)
         of_noise = np.hstack([of_noise, of_loops]) if of_loops.size else of_noise
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
@@ -264,7 +264,7 @@ class PlainFitter:
         std[delays_of(near)] = np.sqrt(variances_of_delays(near))  # rows without the time of reversals tell less of delays
         return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=(std, number))
 
-    def _least_squares(self, fitted: Fitted, likeliest: Fitted | None = None) -> Fitted:
+    def least_squares(self, fitted: Fitted, likeliest: Fitted | None = None) -> Fitted:
         """The fit whose noise is white, as strong as that of a fit in slow motion, without a discrepancy.
 
         Effects keep the width of the prior that they have in the likeliest fit, which is the first one by default.

@@ -31,8 +31,3 @@ class PayloadCom(BodyChange):
 
     def change(self, body, theta):
         return replace(body, position=[p + theta[k] for p, k in zip(body.position, "xyz", strict=True)])
-
-    @classmethod
-    def trials(cls, view):
-        if view.payload:
-            yield from super().trials(view)
