@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace as told_with
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.clocks import clock_lags, on_one_clock
+from rrr_oc.calibration.clocks import clock_lags, errors_of, on_one_clock
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
@@ -82,10 +82,18 @@ def first_estimate(
         exact: Whether the links of a URDF are known exactly.
     """
     fitter, fitted = _of_some(recordings, whole, nominal, exact)
-    lags = clock_lags(whole, fitter.least_squares(fitted).model)
-    if lags.any():
+    begun = fitter.least_squares(fitted).model
+    lags = clock_lags(whole, begun)
+    while lags.any():
         again = on_one_clock(recordings, lags)
-        _, fitted = _of_some(again, prepare(again), nominal, exact)
+        undone = prepare(again)
+        fitter, other = _of_some(again, undone, nominal, exact)
+        after, before = errors_of(undone, fitter.least_squares(other).model), errors_of(whole, begun)
+        # clocks are set in each recording, and drift apart alike in all
+        kept = lags * np.array([after < before, np.full(len(after), after.sum() < before.sum())]).T
+        if np.array_equal(kept, lags):
+            return other.model, lags
+        lags = kept
     return fitted.model, lags
 
 

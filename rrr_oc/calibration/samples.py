@@ -89,9 +89,9 @@ class Prepared:
         return (self.matrix @ self.moving.T.astype(float)).T > 0.5
 
     @cached_property
-    def turning_share(self) -> np.ndarray:
-        """Share of a row's filter on samples at which a joint turns, (n, kept)."""
-        return (self.matrix @ _turning(self.recording).T.astype(float)).T
+    def turning(self) -> np.ndarray:
+        """Rows at which a joint turns, (n, kept)."""
+        return (self.matrix @ _turning(self.recording).T.astype(float)).T > TURNS
 
     def filter_of(self, joint: int, delay: float = 0.0) -> csr_matrix:
         """The common filter of a joint's torques that are recorded late [s] and count while it moves, (kept, K)."""

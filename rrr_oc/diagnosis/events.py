@@ -1,7 +1,7 @@
 """Stretches of time in which a joint's torque is explained by nothing: pushes, contacts, catches.
 
 A friction that sticks or a play that closes leaves large errors for some tenths of a second, too. But these come again where angle,
-speed, acceleration and load do; an event does not. And where a joint turns an event is more than what friction may be there.
+speed, acceleration and load do; an event does not. And where a joint turns or begins to move, an event is more than what friction may be there.
 """
 
 import itertools
@@ -43,21 +43,17 @@ def events(fitted: Fitted) -> list[Event]:
     signals = signals_at_rows(data, model)
     state = np.array([signals[name][0] for name in STATE])
     t, result = times(data), list[Event]()
-    # where a joint turns, dry friction takes any value up to its level of either sign
-    dry = np.zeros(data.n)
-    for term in model.terms:
-        if term.effect.sign_forms:
-            dry[list(term.effect.joints)] += abs(term.values[0])
     number = np.repeat(np.arange(len(data.edges) - 1), np.diff(data.edges))
     for j, joint in enumerate(model.joints):
         counted = data.counted[j]
         if counted.sum() < LEAST:
             continue
         sudden = np.where(counted, fitted.residual[j] - _slow(data, fitted.residual[j]), 0.0)
-        sudden = np.sign(sudden) * np.maximum(np.abs(sudden) - 2 * dry[j] * data.turning_share[j], 0.0)
+        least = np.maximum(SHARE * data.torque[j], _of_sticking(data, model, j))
         own = state[:, j] / np.maximum(state[:, j, counted].std(axis=1, keepdims=True), 1e-12)
         at = np.array([t, number * 2 * (t.max() + SLOW) + t])
-        stretches = _stretches_of(data, sudden, own, at, counted, SHARE * data.torque[j])
+        stretches = _stretches_of(data, sudden, own, at, counted)
+        stretches = [rows for rows in stretches if np.any(np.abs(sudden[rows]) > least[rows])]
         if sum(map(len, stretches)) > MOST * counted.sum():
             continue
         half = STRIDE * EVERY / 2
@@ -126,22 +122,29 @@ def without(prepared: Sequence[Prepared], joints: Sequence[str], some: Sequence[
     return tuple(result)
 
 
+def _of_sticking(data: Data, model: CalibratedModel, j: int) -> np.ndarray:
+    """By how much dry friction may be other than predicted where a joint turns or begins to move, (M,) [Nm]: it has any value there that
+    is not above its level."""
+    result = np.zeros(len(data.may_stick[j]))
+    for term in model.terms:
+        if term.effect.sign_forms and term.effect.joints == (j,) and term.width:
+            result += abs(term.values[0]) * (1 + np.abs(data.friction(term.effect, term.width)))
+    return result * data.may_stick[j]
+
+
 def _slow(data: Data, error: np.ndarray) -> np.ndarray:
     """The running median of an error (M,), recording by recording."""
     size = round(SLOW / (STRIDE * EVERY)) | 1
     return np.concatenate([median_filter(x, size, mode="nearest") for x in np.split(error, data.edges[1:-1])])
 
 
-def _stretches_of(
-    data: Data, error: np.ndarray, state: np.ndarray, at: np.ndarray, counted: np.ndarray, least: float
-) -> list[np.ndarray]:
+def _stretches_of(data: Data, error: np.ndarray, state: np.ndarray, at: np.ndarray, counted: np.ndarray) -> list[np.ndarray]:
     """Rows of each stretch in which a joint's error (M,) is far above the rest and does not come again, or is far from what it is at
     other times in a like state.
 
     Args:
         state: Angle, speed, acceleration and load over their deviations, (4, M).
         at: Times in the files, and such that those of different recordings are far from each other, (2, M).
-        least: What an error has at least at its peak.
     """
     some = np.flatnonzero(counted)
     like, near, apart = (np.full(error.shape, x) for x in (np.nan, np.inf, np.inf))
@@ -157,8 +160,7 @@ def _stretches_of(
         unlike = np.where(np.isfinite(other), np.abs(other) / sizes[1], np.minimum(alone, FAR_FROM_LIKE))
         taken = set(np.concatenate([np.zeros(0, int), *stretches]).tolist())
         stretches += [rows for rows in _stretches(data, unlike, FAR_FROM_LIKE) if not taken & set(rows.tolist())]
-    large = (rows for rows in stretches if np.abs(error[rows]).max() > least)
-    return [rows for rows in large if not _comes_again(error, state, at, rows, some)]
+    return [rows for rows in stretches if not _comes_again(error, state, at, rows, some)]
 
 
 def _at_other_times(error: np.ndarray, state: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

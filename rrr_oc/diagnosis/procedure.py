@@ -41,6 +41,7 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
+Settled = tuple[Fitted, StructureSearch, Fitted, list[Finding], list[Possible], list[Finding]]
 ALIKE = 0.001  # by how much the delay that a search ends with may differ from that with which it was made [s]
 
 
@@ -69,15 +70,8 @@ def _made(stages: Stages, model: CalibratedModel, priors: Priors) -> Diagnosis:
     """All stages from the first estimate up to the check on held-out recordings."""
     recordings, failed = stages.recordings, dict[str, str]()
     whole, fitter, every = _ready(stages, model, priors)
-    every_row = fitter.data
-    fitter, first, disturbed = _begun(fitter, every, stages.start)
-    begin, search, complete, findings, possible, refuted = _settled(fitter, every, first, stages)
-    still = unexplained_events(every_row, first.model, complete.model, disturbed) if findings else disturbed
-    if len(still) < len(disturbed):
-        # what looked like events is explained, and takes part
-        fitter, disturbed = replace(fitter, data=every_row.of(without(every_row.prepared, first.model.joints, still))), still
-        first = fitter.begin(stages.start)
-        begin, search, complete, findings, possible, refuted = _settled(fitter, every, first, stages, "search with all rows")
+    fitter, first, disturbed, settled = _apart_from_events(fitter, every, stages)
+    begin, search, complete, findings, possible, refuted = settled
     complete, findings, worse = _by_degree(search, begin, complete, findings)
     large, small = [f for f in findings if f.matters], [f for f in findings if not f.matters]
     large, undecided, as_good = separated(search, complete, large, small, failed)
@@ -131,6 +125,20 @@ def _made(stages: Stages, model: CalibratedModel, priors: Priors) -> Diagnosis:
     )
 
 
+def _apart_from_events(fitter: Fitter, every: tuple[Trial, ...], stages: Stages) -> tuple[Fitter, Fitted, list[Event], Settled]:
+    """What fits models to all but events, the plain fit, the events, and what is found; again where that explains what looked like events."""
+    whole = fitter.data
+    fitter, first, disturbed = _begun(fitter, every, stages.start)
+    settled = _settled(fitter, every, first, stages)
+    _, _, complete, findings, _, _ = settled
+    still = unexplained_events(whole, first.model, complete.model, disturbed) if findings else disturbed
+    if len(still) < len(disturbed):
+        fitter = replace(fitter, data=whole.of(without(whole.prepared, first.model.joints, still)))
+        first = fitter.begin(stages.start)
+        settled = _settled(fitter, every, first, stages, "search with all rows")
+    return fitter, first, still, settled
+
+
 def _by_degree(
     search: StructureSearch, begin: Fitted, complete: Fitted, findings: list[Finding]
 ) -> tuple[Fitted, list[Finding], list[Finding]]:
@@ -160,9 +168,7 @@ def _with(fitter: Fitter, complete: Fitted, findings: Sequence[Finding]) -> Fitt
     return complete if kept == complete.extra else fitter.fit(model, complete.links, complete.posterior)
 
 
-def _settled(
-    fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages, name: str = "search"
-) -> tuple[Fitted, StructureSearch, Fitted, list[Finding], list[Possible], list[Finding]]:
+def _settled(fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages, name: str = "search") -> Settled:
     """The plain fit and a search under one delay of all torques, that of the model with what predicts; the fit with that, it, and what is
     possible and what does not predict."""
     delay, again = fitter.delay_of(plain), f"{name} with the delay that was found"

@@ -37,7 +37,7 @@ def values(recordings: RecordingSet) -> tuple[np.ndarray, list[str]]:
     ("late", "drift", "told"),
     [
         ((0.0, 0.008, -0.004), (0.0, 0.0, 0.0), ["0.csv", "1.csv", "2.csv"]),
-        ((0.004, 0.004, 0.004), (0.0, 0.010, -0.008), ["1.csv", "2.csv"]),
+        ((0.004, 0.004, 0.004), (0.010, 0.010, 0.010), ["0.csv", "1.csv", "2.csv"]),
     ],
     ids=["set by hand", "drift apart"],
 )
@@ -47,7 +47,9 @@ def test_clocks_of_torques_are_undone_and_told(late, drift, told):
     np.testing.assert_allclose(viscous, TRUTH[1], rtol=0.02)
     assert {s.split(":")[0] for s in said} <= set(told)
     assert len(said) >= 2
-    assert all(("ahead of" if drift[2] else "earlier") in s for s in said[-1:])
+    assert ("fall behind the positions by" if drift[2] else "earlier") in said[-1]
+    if drift[2]:
+        assert float(said[-1].split(" ms over it")[0].split()[-1]) == pytest.approx(10, abs=1)  # told in two digits
 
 
 @pytest.mark.parametrize("grows", [0.0, 0.3])

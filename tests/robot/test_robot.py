@@ -60,8 +60,9 @@ def test_everything_of_a_chain(load, joints):
     np.testing.assert_allclose(found.tool.position, model.frames[model.getFrameId("tool")].placement.translation, atol=1e-15)
 
 
-def test_without_a_tool_frame_the_tool_is_the_last_joint(load):
-    np.testing.assert_array_equal(load(arm(2)).tool.position, np.zeros(3))
+def test_without_a_tool_frame_the_tool_is_at_the_end_of_the_last_link(load):
+    """A payload at the joint itself would be seen by no torque of it."""
+    np.testing.assert_allclose(load(arm(2)).tool.position, [0.2, 0, 0], atol=1e-15)  # its centre is half as far
 
 
 def test_continuous_joints_have_no_range_but_one_coordinate(load):

@@ -181,14 +181,15 @@ class Data:
         return self._friction[form, width]
 
     @cached_property
-    def turning_share(self) -> np.ndarray:
-        """Share of a row's filter on samples at which a joint turns, (n, M)."""
-        return np.concatenate([p.turning_share for p in self.prepared], axis=1)[:, self.at]
-
-    @cached_property
     def turning(self) -> np.ndarray:
         """Rows at which a joint turns, (n, M)."""
-        return self.turning_share > TURNS
+        return np.concatenate([p.turning for p in self.prepared], axis=1)[:, self.at]
+
+    @cached_property
+    def may_stick(self) -> np.ndarray:
+        """Rows whose filter reaches to where a joint turns or rests, so that friction may be there what it is at rest, (n, M)."""
+        rests = [(abs(p.matrix) @ (~p.moving).T.astype(float)).T > TURNS for p in self.prepared]
+        return self.turning | np.concatenate(rests, axis=1)[:, self.at]
 
     @cached_property
     def place(self) -> np.ndarray:
