@@ -21,7 +21,7 @@ from rrr_oc.diagnosis.result import Event
 from rrr_oc.diagnosis.structures.search import StructureSearch
 
 # deviations of a joint's error, of an event's peak and up to its ends; doubled, weak pushes stay in the fit
-FAR, NEAR = 10.0, 2.5
+FAR, NEAR = 7.0, 2.5
 SHARE = 0.15  # of a joint's torque, that a peak has at least; doubled, weak pushes stay in the fit
 SLOW = 2.0  # [s] of the running median, which passes what lasts half as long; doubled, longer contacts are events
 MOST = 0.2  # share of the time that events may take; more is missing physics
@@ -30,7 +30,7 @@ AGAIN = 0.3  # share of a peak that the rows of the most alike states may have i
 NEIGHBOURS = 40  # rows of the most alike states, some of which are of the same time; doubled, no change
 CLOSE = 0.6  # deviations of a state up to which another is like it; doubled, motions that only one recording has are events
 AGREE = 0.7  # share of the difference to errors in like states that these may be apart; doubled, what differs between set-ups is events
-FAR_FROM_LIKE = 7.0  # deviations of the difference to errors in like states; doubled, weak pushes stay in the fit
+FAR_FROM_LIKE = 5.0  # deviations of the difference to errors in like states; doubled, weak pushes stay in the fit
 FUNCTIONS = 4  # of a joint that are tried, those of the largest gain
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
 STATE = ("q", "dq", "ddq", "load_torque")
@@ -190,4 +190,4 @@ def _comes_again(error: np.ndarray, state: np.ndarray, at: np.ndarray, rows: np.
     other = some[np.abs(at[1, some] - at[1, peak]) > SLOW]
     alike = (state, state[:1], at[:1])
     near = [KDTree(x[:, other].T).query(x[:, peak], k=k)[1] for x in alike for k in (3, ALIKE) if k <= len(other)]
-    return any(np.median(error[other[k]]) / error[peak] > AGAIN for k in near)
+    return any(np.median(error[other[k]]) * np.sign(error[peak]) > AGAIN * np.abs(error[peak]) for k in near)

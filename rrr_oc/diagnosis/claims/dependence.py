@@ -24,6 +24,7 @@ from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.effects import BlackBox, Delay, Signals
 
 LIKE = 2  # laws that are fitted to say what a torque is most like
+HALF = 0.5  # of the squares that the best function explains, which a law leaves at most that the torque is said to be most like
 FUNCTIONS = 12  # of a joint, of different variables, that are tried, those of the largest gain
 
 
@@ -202,7 +203,7 @@ def _most_like(
         if not _may_be_none(law):
             found.append(Like(law, reach(*map(place.of_joint, (left, least, before)))))
     like = max(found, key=lambda one: one.reach, default=None)
-    return like if like is not None and like.reach > 0 else None
+    return like if like is not None and (1 - like.reach) ** 2 < HALF else None
 
 
 def _may_be_none(law: Term) -> bool:
