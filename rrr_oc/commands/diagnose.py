@@ -129,7 +129,7 @@ def _show_diagnosis(found: DiagnosisFile, output: Output) -> None:
     header, body = told.anatomy(found)
     if body:
         table = Table(*header)
-        table.title = "Parts of the squared error of the robot's file, on data left out, in percent"
+        table.title = "Error on data left out, in percent of that of the robot's file, as parts are added"
         for row in body:
             table.add_row(*row)
         output.show(table)

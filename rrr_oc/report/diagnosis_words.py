@@ -38,7 +38,8 @@ OF_LINKS = (
     ("inertia", "an inertia about that of", "kg m²"),
 )
 ACROSS = 1e-3  # share of a first moment that the description has along it, at most, where it is across the described one
-LAST = ("seen, no law", "not explained", "noise")  # parts of an error that no law is
+REST, NOISE = "not explained", "noise"
+LAST = ("seen, no law", REST, NOISE)  # parts of an error that no law is
 SHOWN = 6  # events that are listed
 Found = file.Named | file.Unexplained  # what was found on joints
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
@@ -145,26 +146,25 @@ def most_like(u: file.Unexplained) -> str:
 
 
 def anatomy(found: DiagnosisFile) -> tuple[list[str], list[list[str]]]:
-    """The parts of each joint's error as a table: its header, and a row for each part, in percent of the squared error."""
-    parts = found.anatomy
-    names = dict.fromkeys(p.part for own in parts.values() for p in own if p.part not in LAST)
-    shares = {joint: {p.part: p.share for p in own} for joint, own in parts.items()}
-    body = [
-        [
-            _part(name),
-            *(f"{100 * own[name] + 0.0:.1f}".replace("-0.0", "0.0") if name in own else "" for own in shares.values()),
-        ]
-        for name in [*names, *LAST]
-        if any(name in own for own in shares.values())
-    ]
-    return ["part", *map(joint_words, parts)], body
+    """The error of each joint that is left as parts are added to the robot's file, as a table: its header, and a row for each part, in
+    percent of the file's. Noise is what would be left at best."""
+    joints = list(found.anatomy)
+    names = dict.fromkeys(p.part for own in found.anatomy.values() for p in own if p.part not in LAST)
+    body = {name: [""] * len(joints) for name in (*names, *LAST) if name != REST}
+    for k, own in enumerate(found.anatomy.values()):
+        shares, left = {p.part: p.share for p in own}, 1.0
+        for name in body:
+            if name in shares:
+                left -= shares[name]
+                body[name][k] = f"{100 * max(shares[name] if name == NOISE else left, 0.0) ** 0.5:.3g}"
+    return ["with", *map(joint_words, joints)], [[_part(name), *cells] for name, cells in body.items() if any(cells)]
 
 
 def _part(name: str) -> str:
     """A part of an error in words."""
     effect, _, joint = name.partition("@")
     known = f"{called(effect)}{f' of {listed(list(map(joint_words, joint.split())))}' * bool(joint)}"
-    return known if effect in CATALOGUE else name
+    return known if effect in CATALOGUE else "noise alone" if name == NOISE else name
 
 
 def measured(measurement: Mapping[str, file.Measured]) -> list[str]:

@@ -541,28 +541,27 @@ def test_events_are_told_with_joint_recording_times_and_peak():
     assert many == f"9 stretches of time {said}{', '.join([where] * 6)} and 3 more."
 
 
-def test_the_parts_of_an_error_are_rows_in_percent_what_no_law_explains_last():
+def test_the_error_that_is_left_falls_part_by_part_to_noise():
     def parts(**shares) -> list[dict]:
         return [{"part": part, "share": share} for part, share in shares.items()]
 
-    rest = {"not explained": 0.0123, "noise": 0.01}
-    ripple, coupled = {"torque_ripple@wrist_2_joint": 0.2}, {"coupled_friction@a wrist_2_joint": 0.1}
-    own = {"friction and rotor": 0.6, "links": -0.0004, "payload_mass": 0.05, "seen, no law": 0.03}
-    found = {"a": parts(**own, **coupled, **rest), "wrist_2_joint": parts(links=0.5, **ripple, **coupled, **rest)}
+    ripple, coupled = {"torque_ripple@wrist_2_joint": 0.24}, {"coupled_friction@a wrist_2_joint": 0.11}
+    own = {"friction and rotor": 0.64, "links": -0.13, "payload_mass": 0.24}
+    rest = {"seen, no law": 0.05, "not explained": 0.08, "noise": 0.01}
+    found = {"a": parts(**own, **coupled, **rest), "wrist_2_joint": parts(links=0.51, **ripple, **coupled, noise=0.14)}
     header, body = anatomy({"anatomy": found})
-    assert header == ["part", "a", "wrist 2"]
+    assert header == ["with", "a", "wrist 2"]
     assert body == [
-        ["friction and rotor", "60.0", ""],
-        ["links", "0.0", "50.0"],
-        ["payload mass", "5.0", ""],
-        ["coupled friction of a and wrist 2", "10.0", "10.0"],
-        ["torque ripple of wrist 2", "", "20.0"],
-        ["seen, no law", "3.0", ""],
-        ["not explained", "1.2", "1.2"],
-        ["noise", "1.0", "1.0"],
+        ["friction and rotor", "60", ""],
+        ["links", "70", "70"],
+        ["payload mass", "50", ""],
+        ["coupled friction of a and wrist 2", "37.4", "61.6"],
+        ["torque ripple of wrist 2", "", "37.4"],
+        ["seen, no law", "30", ""],
+        ["noise alone", "10", "37.4"],
     ]
-    assert anatomy({"anatomy": {"a": parts(links=-0.2)}}) == (["part", "a"], [["links", "-20.0"]])
-    assert anatomy({}) == (["part"], [])
+    assert anatomy({"anatomy": {"a": parts(links=-0.21)}}) == (["with", "a"], [["links", "110"]])
+    assert anatomy({}) == (["with"], [])
 
 
 def test_a_mass_that_recordings_do_not_tell_is_not_told():
@@ -625,7 +624,7 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     assert "payload mass, inertial parameters of the link of wrist 2, inertial parameters of the link of wrist 3" in text
     assert "1 stretch of time took no part" in text
     assert "It is most like torque ripple (amplitude = 0.75 Nm" in text
-    assert re.search(r"part\s+wrist 2\s+payload mass\s+33\.3\s+torque ripple of wrist 2\s+33\.3\s+noise\s+33\.3\s", text)
+    assert re.search(r"with\s+wrist 2\s+payload mass\s+81\.6\s+torque ripple of wrist 2\s+57\.7\s+noise alone\s+57\.7\s", text)
     assert "Some recordings move wrist 2 at angles or speeds that the others do not reach." in text
     assert not re.search(r"\w_\w|\d\.\d{7}", text.replace("tau_l", ""))
 

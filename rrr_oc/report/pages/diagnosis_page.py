@@ -81,7 +81,7 @@ def diagnosis_page(found: DiagnosisFile, curves: Curves, model: Mapping[str, Any
     )
 
 
-LEAST = 5e-4  # share of an error that a table shows as more than 0.0 %
+LEAST = 0.02  # share of a squared error from which a part that raises it is explained
 
 
 def first_shown(found: DiagnosisFile, curves: Curves, joints: Sequence[str]) -> tuple[str, str]:
