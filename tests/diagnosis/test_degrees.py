@@ -148,7 +148,7 @@ def test_reach_is_what_is_explained_of_what_the_best_explains():
 
 
 def quantities(log_odds=50.0):
-    return features(log_odds, [0.4], 0.05, {"noise": 0.01, "not explained": 0.0}, 1.0)
+    return features(log_odds, [0.4], (0.05, 0), {"noise": 0.01, "not explained": 0.0}, 1.0)
 
 
 def test_a_probability_is_that_of_the_regression_and_never_certain():

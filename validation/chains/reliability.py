@@ -12,6 +12,7 @@ they are.
 import argparse
 import itertools
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from validation.chains.scoring import Sealed, variables
 
 ROOT = Path(__file__).resolve().parents[2]
 PENALTY = 1.0  # precision of the coefficients of quantities of size 1, beside that of claims as a whole
-SIGNS = (0, 1, 1, -1, -1, -1, 1)  # of the coefficients; the first may have any
+SIGNS = (0, 1, 1, -1, -1, -1, 1, -1)  # of the coefficients; the first may have any
 LEVELS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, 1.0)
 Claims = list[tuple[str, np.ndarray, bool]]  # family, quantities, whether it is right
 
@@ -51,26 +52,26 @@ def diagnosis_of(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.ndarray, bool]]:
-    parts = {joint: {p["part"]: p["share"] for p in own} for joint, own in found["anatomy"].items()}
-    for e in found["effects"]:
-        if e["effect"] != "time_delay":
-            right = any(sealed.right(x) for x in (e, *e["rivals"]))
-            yield "law", _quantities(e, parts), right
+    laws = [e for e in found["effects"] if e["effect"] != "time_delay"]
+    on = Counter(e["lowers_error"]["joint"] for e in (*laws, *found["unexplained"]))
+    for e in laws:
+        yield "law", _quantities(e, found, on), any(sealed.right(x) for x in (e, *e["rivals"]))
     for u in found["unexplained"]:
         right = any(sealed.depends(j, variables(u, sealed)) for j in sealed.at(u) if j in sealed.hidden)
-        yield "dependence", _quantities(u, parts), right
+        yield "dependence", _quantities(u, found, on), right
 
 
-def _quantities(entry: dict[str, Any], anatomy: dict[str, dict[str, float]]) -> np.ndarray:
-    """What a file says of a claim, as of `NAMES`, (7,)."""
+def _quantities(entry: dict[str, Any], found: dict[str, Any], on: Counter[str]) -> np.ndarray:
+    """What a file says of a claim, as of `NAMES`, (8,); `on` has the number of findings by joint."""
     size = entry["lowers_error"]
     lows = [x["interval"][0] for x in (size, size["innovations"]) if x is not None and x["interval"] is not None]
-    of_law = entry.get("reaches"), len(entry.get("rivals", ()))
-    return features(entry["log_odds"], lows, size["of_torque"], anatomy[size["joint"]], *of_law)
+    of_law, joint = (entry.get("reaches"), len(entry.get("rivals", ()))), size["joint"]
+    parts = {p["part"]: p["share"] for p in found["anatomy"][joint]}
+    return features(entry["log_odds"], lows, (size["of_torque"], on[joint] - 1), parts, *of_law)
 
 
 def regression(some: Claims) -> np.ndarray:
-    """Coefficients of the penalised logistic regression, of `NAMES`, (7,).
+    """Coefficients of the penalised logistic regression, of `NAMES`, (8,).
 
     What speaks for a claim never speaks against it (`SIGNS`). One claim more that is right, and one that is wrong, are like the mean of
     all: of claims that are all right so far, the next may be wrong (Laplace).

@@ -25,6 +25,7 @@ NAMES = (
     "rivals",
     "share of what is left that is no noise",
     "size",
+    "findings beside it on its joint",
 )
 LEAST, MOST = 1e-3, 0.999  # that are said: the cases are some hundred
 
@@ -52,28 +53,33 @@ def judged(findings: Sequence[Finding], anatomy: Sequence[Mapping[str, float]]) 
     """
     result, known = [], regression()
     for f in findings:
-        parts = anatomy[f.joint]
-        law = probability_of(_features_of(f, parts, True), known.law)
+        parts, beside = anatomy[f.joint], sum(g.joint == f.joint and not g.with_function for g in findings if g is not f)
+        law = probability_of(_features_of(f, parts, beside, True), known.law)
         named = not (f.term.effect.black_box or f.with_function) and law >= LIKELY
-        right = law if named else probability_of(_features_of(f, parts, False), known.dependence)
+        right = law if named else probability_of(_features_of(f, parts, beside, False), known.dependence)
         result.append(replace(f, named=named, right=None if f.with_function else right))
     return result
 
 
-def _features_of(f: Finding, parts: Mapping[str, float], law: bool) -> np.ndarray:
+def _features_of(f: Finding, parts: Mapping[str, float], beside: int, law: bool) -> np.ndarray:
     lows = [x.low for x in (f.fall, f.innovations) if x is not None and np.isfinite([x.low, x.high]).all()]
-    return features(f.worth, lows, f.of_torque, parts, f.reach if law else None, len(f.rivals) * law)
+    return features(f.worth, lows, (f.of_torque, beside), parts, f.reach if law else None, len(f.rivals) * law)
 
 
 def features(
-    log_odds: float, lows: Sequence[float], size: float, parts: Mapping[str, float], reach: float | None = None, rivals: int = 0
+    log_odds: float,
+    lows: Sequence[float],
+    of_joint: tuple[float, int],
+    parts: Mapping[str, float],
+    reach: float | None = None,
+    rivals: int = 0,
 ) -> np.ndarray:
-    """What is known of a claim, as of `NAMES`, (7,).
+    """What is known of a claim, as of `NAMES`, (8,).
 
     Args:
         log_odds: By how much it raises the logarithm of the posterior probability [nats].
         lows: Lower ends of the falls of the error and of its innovations [1].
-        size: The larger of both over the joint's torque [1].
+        of_joint: The larger of both over the joint's torque [1], and how many other findings are surest on this joint.
         parts: Of its joint's error.
         reach: Share of what a function explains that the law explains; of a law that was compared with one.
         rivals: How many laws may be in its place.
@@ -87,7 +93,8 @@ def features(
             1 - np.clip(1.0 if reach is None else reach, 0.0, 1.0),
             np.log1p(rivals),
             max(rest, 0.0) / max(max(rest, 0.0) + noise, 1e-12),
-            np.log(max(size, 1e-4)),
+            np.log(max(of_joint[0], 1e-4)),
+            np.log1p(of_joint[1]),
         ]
     )
 
