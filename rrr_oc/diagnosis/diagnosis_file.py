@@ -612,14 +612,13 @@ def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
 def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     """A torque that a function describes, or a law that is too often another."""
     term, joints = finding.term, diagnosis.model.joints
-    on = list(dict.fromkeys(_variable(kind, j, joints) for kind, j in variables(term, len(joints))))
+    beside = [f.term for f in diagnosis.findings if f.with_function and f.term.effect.joints == term.effect.joints]
+    every = (pair for one in (term, *beside) for pair in variables(one, len(joints)))
+    on = list(dict.fromkeys(_variable(kind, j, joints) for kind, j in every))
     validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in term.effect.validity]
     joint, files = joints[finding.joint], files_of(term, diagnosis.recordings)
     some = "" if files in ("all", "each") else f" in {', '.join(files)}"
-    laws = [
-        f.term.effect.called() for f in diagnosis.findings if f.with_function and f.term.effect.joints == term.effect.joints
-    ]
-    beside = f" beside {listed(laws)}" * bool(laws)
+    laws = f" beside {listed([one.effect.called() for one in beside])}" * bool(beside)
     if isinstance(term.effect, BlackBox):
         joint, said = joints[term.effect.joints[0]], term.effect.words(term.named)
         like = finding.like and _like(diagnosis, finding.like.term, finding.like.reach)
@@ -637,7 +636,7 @@ def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
         "parameters": _parameters(term, diagnosis.recordings) if files == "each" else {},
         "validity": validity,
         "description": f"a torque on {joint}{some} that depends on {' and '.join(on)} and of which no law is sure; "
-        f"the model carries it as {said}{beside}{', valid in the ranges given' if validity else ''}",
+        f"the model carries it as {said}{laws}{', valid in the ranges given' if validity else ''}",
     }
 
 

@@ -165,9 +165,10 @@ def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Find
             kept = [g for g in kept if left_out.of(g.term) in place.less]
             new.append((best.addition, _most_like(search, complete, place, others, laws, best)))
         elif beaten and place.companions:  # both together are one torque, which the law is most like
-            companion = place.companions[0]
+            companion, both = place.companions[0], left_out.falls(f.joint, place.whole, place.less)
+            sized = replace(companion, fall=both.error, innovations=both.innovations, worth=companion.worth + f.worth)
             kept = [replace(g, with_function=True) if g is f else g for g in kept]
-            kept = [replace(g, like=Like(f.term, own.reach)) if g is companion else g for g in kept]
+            kept = [replace(sized, like=Like(f.term, own.reach)) if g is companion else g for g in kept]
             told.append(companion.term)
         elif own is not every[0] and place.against((*place.less, own.addition), place.whole).share > 0:
             kept = [g for g in kept if left_out.of(g.term) in place.less]  # in another shape nothing beside it is needed
