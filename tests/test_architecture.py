@@ -3,6 +3,7 @@
 import ast
 import re
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,6 +75,13 @@ def test_imports_go_one_way():
         if not places <= may:
             wrong[name_of(path)] = sorted(places - may)
     assert wrong == {}, "modules, and folders that they must not import from"
+
+
+def test_no_file_needs_itself():
+    """Through whatever others, also where only types are imported. `rrr_oc` itself hands out what is below it, and its version."""
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
+    names.pop("rrr_oc")
+    TopologicalSorter({name: imports_of(path) & names.keys() - {name} for name, path in names.items()}).prepare()
 
 
 def test_the_package_does_not_know_studies_validation_and_tests():
