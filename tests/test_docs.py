@@ -229,6 +229,22 @@ def test_the_site_loads_nothing_from_elsewhere(site):
     assert not {one for found in site.values() for one in found.loaded if one.startswith(("http:", "https:", "//"))}
 
 
+def test_a_browser_sets_every_equation_and_no_page_is_wider_than_the_screen(site, browser):
+    said, equations = [], 0
+    for width in (1280, 390):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.on("pageerror", lambda error: said.append(str(error)))
+        for path in (
+            p for p in site if "arithmatex" in p.read_text() or p.parent == min(site, key=lambda p: len(p.parts)).parent
+        ):
+            page.goto(path.as_uri())
+            equations += page.locator(".arithmatex .katex-display").count()
+            assert page.locator(".arithmatex").count() == page.locator(".arithmatex .katex-display").count()
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
+    assert said == []
+    assert equations > 20
+
+
 def test_files_outside_the_pages_are_shown_in_the_site(site):
     texts = {"/".join(p.parts[p.parts.index("source") :]): p.read_text() for p in site if "source" in p.parts}
     assert "payload_kg" in texts["source/rrr_oc/data/paper.json.html"]

@@ -3,9 +3,7 @@
 import json
 import os
 import re
-import shutil
 from base64 import b64decode
-from collections.abc import Iterator
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
@@ -512,20 +510,6 @@ def test_a_bound_is_told_in_words():
         bound(sentence)
         == "Moving the upper bound of stiffness of the parallel spring of b (13 Nm/rad) outward would save 12 % of E1."
     )
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A Chromium without a window; skips where there is none."""
-    driver = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra `test`")
-    names = ("chromium", "google-chrome", "chrome-headless-shell")
-    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
-    if found is None:
-        pytest.skip(f"no browser: none of {', '.join(names)} is on the path, and CHROMIUM names none")
-    with driver.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=found, args=["--no-sandbox"])  # which root in a container needs
-        yield opened
-        opened.close()
 
 
 @pages
