@@ -399,7 +399,7 @@ def test_the_verdict_compares_at_equal_cycle_times_what_was_compared():
 def test_the_verdict_of_a_design_names_the_best_its_gain_and_what_is_bought():
     said = verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0), PEA_=designs.design(60.0)))
     assert said.startswith("PEA is best: E1 is 50 N²m²s, 75.0 % less than the 200 N²m²s of stiff actuation. To buy for PEA*: ")
-    springs = "a spring of 10 Nm/rad on b, slack at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
+    springs = "a spring of 10 Nm/rad on b, unloaded at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
     assert hardware(designs.design(1.0), ["a", "b", "c"]) == springs
     assert said.endswith(f"{springs}. Then E1 is 60 N²m²s, 70.0 % less than the 200 N²m²s of stiff actuation.")
     assert "no catalogue of springs to buy was searched" in verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0)))

@@ -193,7 +193,7 @@ def test_designs_are_compared_at_equal_times_and_with_springs_that_balance(out, 
     assert found["PEA"]["cost"] < found["PEA"]["balancing"]["cost"]
     assert set(found["PEA"]["balancing"]["springs"]) == set(found["PEA"]["springs"])
     assert "PEA, balanced at rest" in text
-    assert "The parallel spring of joint2 acts where joint2 is below the angle at which it is slack; there it turns" in text
+    assert "The parallel spring of joint2 acts where joint2 is below the angle at which it is unloaded; there it turns" in text
 
 
 @pytest.mark.parametrize(

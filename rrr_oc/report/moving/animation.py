@@ -136,7 +136,7 @@ def _solid(scene: Scene, axis: Any, pictures: Iterator[np.ndarray]) -> Callable[
     """The arm as MuJoCo draws it."""
     image = axis.imshow(np.full((SIZE, SIZE, 3), 255, np.uint8))
     if scene.most > 0:
-        names = ("slack", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
+        names = ("no load", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
         for share, name in zip((0.0, 0.5, 1.0), names, strict=True):
             axis.plot([], [], lw=4, color=tension_colour(share), label=name)
         axis.legend(fontsize=7, loc="upper left", title="springs", title_fontsize=7)
