@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """The pictures of the documentation: of `rrr-oc demo`, of the priors, and of tables that stand in the pages.
 
     python -m docs.from_code.pictures FOLDER
@@ -167,7 +168,7 @@ class Drawn:
         """The picture."""
         text = (IMAGES.parent / self.page).read_text(encoding="utf-8")
         lines = itertools.takewhile(lambda line: line.startswith("|"), text[text.index(self.head) :].splitlines())
-        header, _, *rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+        header, _line, *rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
         data: dict[str, Any] = {"y": [", ".join(filter(None, row[: self.names])) for row in rows]}
         for name, column, place in self.columns:
             every = [
