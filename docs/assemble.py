@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()(?!https?:|mailto:|#)([^)#\s]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.M | re.S)  # code, in which nothing is a link
 BLOCK = re.compile(r"^```.*?^```$", re.M | re.S)
+# Symbols in a sentence, as s_j
+SUBSCRIPT = re.compile(r"(?<![\w.])([A-Za-zΑ-Ωα-ωℓφ][\u0300-\u036f]?)_([A-Za-z0-9]+(?:,\d)?)(?![A-Za-z0-9_])")
 NESTED = re.compile(r"^  - ", re.M)  # a list within a list, which MkDocs wants four spaces in
 LANGUAGES = {".py": "python", ".json": "json", ".toml": "toml", ".cff": "yaml", ".urdf": "xml"}
 LARGEST = 60_000  # bytes of a file that is shown as a page; a larger one is copied as it is
@@ -69,7 +71,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         there = _site(_repository(page.file.src_uri, match[2]))
         return match[1] + os.path.relpath(there, PurePosixPath(page.file.src_uri).parent) + match[3]
 
-    return _outside(BLOCK, NESTED, "    - ", _outside(FENCE, LINK, within, markdown))
+    text = _outside(FENCE, SUBSCRIPT, r"\1<sub>\2</sub>", _outside(FENCE, LINK, within, markdown))
+    return _outside(BLOCK, NESTED, "    - ", text)
 
 
 def _outside(code: re.Pattern[str], pattern: re.Pattern[str], change: Any, text: str) -> str:

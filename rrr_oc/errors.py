@@ -143,3 +143,36 @@ def ends_at_once() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+class Patience:
+    """Ctrl-C that waits for what is nearly done: within `kept` it is noted, and `over` acts on it; another one acts at once.
+
+    Attributes:
+        asked: Whether there was one.
+    """
+
+    asked = False
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Where the first Ctrl-C only is noted."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def note(*_: Any) -> None:
+            if self.asked:
+                raise KeyboardInterrupt
+            self.asked = True
+
+        before = signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    def over(self) -> None:
+        """Raises `KeyboardInterrupt` where there was one."""
+        if self.asked:
+            raise KeyboardInterrupt

@@ -16,6 +16,7 @@ import pytest
 import typer
 from doc_pages import CURRENT, PAGES, ROOT, blocks, code
 
+from docs.from_code.pictures import IMAGES, MADE
 from rrr_oc.commands import COMMANDS, app, load
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import STATUSES
@@ -229,6 +230,20 @@ def test_the_site_loads_nothing_from_elsewhere(site):
     assert not {one for found in site.values() for one in found.loaded if one.startswith(("http:", "https:", "//"))}
 
 
+def test_a_browser_sets_every_equation_within_the_screen(site, browser):
+    said, equations = [], 0
+    for width in (1280, 390):
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.on("pageerror", lambda error: said.append(str(error)))
+        for path in (p for p in site if "arithmatex" in p.read_text()):
+            page.goto(path.as_uri())
+            equations += page.locator(".arithmatex .katex-display").count()
+            assert page.locator(".arithmatex").count() == page.locator(".arithmatex .katex-display").count()
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, path.name
+    assert said == []
+    assert equations > 20
+
+
 def test_files_outside_the_pages_are_shown_in_the_site(site):
     texts = {"/".join(p.parts[p.parts.index("source") :]): p.read_text() for p in site if "source" in p.parts}
     assert "payload_kg" in texts["source/rrr_oc/data/paper.json.html"]
@@ -246,3 +261,19 @@ def test_the_table_of_contents_has_every_page_of_the_folder_and_every_effect(sit
 def test_the_gallery_has_every_study():
     text = (ROOT / "docs" / "gallery.md").read_text()
     assert not [path.name for path in (ROOT / "studies").glob("*.py") if f"studies/{path.name}" not in text]
+
+
+ELSEWHERE = {  # pictures that other commands make, or a hand
+    "conventions.svg": "drawn by hand",
+    "natural_dynamics.png": "studies/natural_dynamics.py",
+    "twelve_tasks.png": "rrr-oc design twelve_tasks",
+}
+WITHOUT = {"architecture", "discovery", "glossary", "licences", "supply_chain", "worked_example"}  # pages of text and tables
+
+
+def test_pages_have_pictures_and_a_command_makes_each():
+    linked = {p.stem: re.findall(r"\]\(images/([\w./]+)\)", p.read_text()) for p in (ROOT / "docs").glob("*.md")}
+    assert {page for page, pictures in linked.items() if not pictures} == WITHOUT
+    there = {p.name for p in IMAGES.iterdir() if p.is_file()}
+    assert there == {*MADE, *ELSEWHERE}
+    assert there >= {name for names in linked.values() for name in names if "/" not in name}

@@ -29,6 +29,7 @@ FOR_USERS = [
 ]
 FOR_TESTS = [Requirement(line) for line in EXTRAS["test"] if not line.startswith("rrr_oc[")]
 COMPILED_AGAINST = ("casadi", "pin")
+TEMPLATES = Path(rrr_oc.__file__).parent / "report" / "templates"
 
 
 def pins(name: str) -> dict[str, str]:
@@ -136,11 +137,13 @@ def test_the_page_of_licences_is_that_of_what_is_installed():
     assert dependencies.PAGE.read_text() == dependencies.page(), "python docs/dependencies.py writes it anew"
 
 
-def test_the_script_of_the_pages_is_the_one_that_is_documented():
-    folder = Path(rrr_oc.__file__).parent / "report" / "templates"
-    shipped = hashlib.sha256((folder / PLOTLY).read_bytes()).hexdigest()
+@pytest.mark.parametrize(
+    ("script", "licence"), [(TEMPLATES / PLOTLY, "plotly-basic.LICENSE"), (ROOT / "docs/katex/katex.min.js", "LICENSE")]
+)
+def test_the_scripts_of_pages_are_those_that_are_documented(script, licence):
+    shipped = hashlib.sha256(script.read_bytes()).hexdigest()
     assert f"`{shipped}`" in (ROOT / "docs" / "supply_chain.md").read_text()
-    assert "MIT License" in (folder / "plotly-basic.LICENSE").read_text()
+    assert "MIT License" in (script.parent / licence).read_text()
 
 
 def test_an_unknown_licence_is_refused():

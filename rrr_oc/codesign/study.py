@@ -66,7 +66,7 @@ from rrr_oc.codesign.transfer import (
     unknown_joints,
 )
 from rrr_oc.effects import Clutched
-from rrr_oc.errors import UserError
+from rrr_oc.errors import Patience, UserError
 from rrr_oc.kept import Keeping, Listener, kept_motion, once, save, taken
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess
@@ -187,6 +187,7 @@ class Study:
         published: Springs that were published for the task, if there are some.
         listener: Who is told how it goes on.
         described: The tasks as they were asked for, on the arm as its file describes it.
+        ctrl_c: Ends the study; a design that was found is described and saved first.
     """
 
     request: Request
@@ -198,6 +199,7 @@ class Study:
     published: Published | None
     listener: Listener
     described: TaskSet
+    ctrl_c: Patience = field(default_factory=Patience)
 
     @property
     def out(self) -> Path:
@@ -384,8 +386,7 @@ def _results(
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
     solved = _once(study, name, partial(_solve, study, name, ways, before))
     yield name, solved
-    if solved.interrupted:  # by Ctrl-C, which ends the study
-        raise KeyboardInterrupt
+    study.ctrl_c.over()
     design = _chosen(ways, solved)
     solved = _compared(study, name, design, solved)
     yield name, solved
@@ -404,6 +405,7 @@ def _results(
         yield name, msgspec.structs.replace(solved, not_bought=str(failure))
         return
     yield starred, bought
+    study.ctrl_c.over()
     yield starred, _compared(study, starred, design, bought)
 
 
@@ -564,6 +566,7 @@ def _solve_one(
         if cheapest != best and costs[cheapest] < found.best.cost and not found.interrupted:
             best, found = cheapest, _search(study, ways[cheapest].first, known[cheapest], report)
         design = ways[best]
+        study.ctrl_c.asked |= found.interrupted
         Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
         described = _described(study, name, SetResult.of_one(design, found.best), began)
     optima = [
@@ -750,7 +753,9 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
     compared = (compared or design.first) if study.single else None
     calls = [(own, one, o, compared) for own, one, o in zip(design.designs, held, result.motions, strict=True)]
     tasks, files = {}, files_of(name, len(held))
-    for t, (moved, arrays) in enumerate(ordered(_moved, calls)):
+    with study.ctrl_c.kept():
+        described = ordered(_moved, calls)
+    for t, (moved, arrays) in enumerate(described):
         write_npz(kept_motion(study, files[t]), arrays)
         own = design.designs[t].hardware(result.alone[t].solution.parameters)
         others = {"alone": result.alone[t].cost, "with_first": result.first[t].cost, "springs_alone": own}

@@ -153,7 +153,7 @@ def _header(name: str, robot: Robot, exact: bool) -> str:
     {{
       "file": "{RECORDING}"
       // , "payload_kg": 2.0 // mass at the tool
-      // , "group": "first day" // recordings of one set-up share what is estimated for it
+      // , "group": "first day" // recordings of one group share what is estimated for it
       // , "springs": {_springs(last)} // mounted springs
     }}
     // , {{"file": "second.csv"}} // three or more, so that some can be left out of a fit and predicted

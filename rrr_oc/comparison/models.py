@@ -116,6 +116,21 @@ def compare_models(a: Side, b: Side) -> Compared:
     )
 
 
+def common_numbers(sides: Sequence[Side]) -> Iterator[tuple[Change, ...]]:
+    """For each number that all models have, the first model's beside that of each, itself too; raises `UserError` as `compare_models`."""
+    first, every = sides[0], list[dict[Any, Change]]()
+    for side in sides:
+        _check_same_arm(first, side)
+        found, own = [*_of_terms(first.model, side.model, _paired(first.model, side.model)[0])], dict[Any, Change]()
+        for one in [*found, *_of_links(first.model, side.model)]:
+            key = (one.effect, one.joints, one.parameter)
+            own[(*key, sum(key == other[:3] for other in own))] = one  # a link's moment is one of several directions
+        every.append(own)
+    for key in every[0]:
+        if all(key in own for own in every):
+            yield tuple(own[key] for own in every)
+
+
 def _check_same_arm(a: Side, b: Side) -> None:
     one, other = a.model.robot, b.model.robot
     if one.joints != other.joints:
@@ -200,11 +215,11 @@ def _alone(term: Term, model: CalibratedModel, told: Mapping[str, Any] | None) -
     """A term, and what the other diagnosis says of it."""
     joints = tuple(model.joints[j] for j in term.effect.joints)
     parameters = {p.name: (e.value, _error(e), p.unit) for p, e in zip(term.effect.parameters, term.estimates, strict=True)}
-    elsewhere, of = _elsewhere(term.effect.name, joints, told or {})
+    elsewhere, of = told_elsewhere(term.effect.name, joints, told or {})
     return Alone(term.effect.name, joints, term.recordings, parameters, elsewhere, of)
 
 
-def _elsewhere(effect: str, joints: tuple[str, ...], told: Mapping[str, Any]) -> tuple[As | None, str | None]:
+def told_elsewhere(effect: str, joints: tuple[str, ...], told: Mapping[str, Any]) -> tuple[As | None, str | None]:
     """As what a diagnosis names an effect that is not in its model, and whose rival it is there."""
 
     def same(entry: Mapping[str, Any]) -> bool:

@@ -1,5 +1,6 @@
 """Results to compare, as they lie in folders and files."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,13 @@ from rrr_oc.calibration import model_file
 from rrr_oc.codesign import design_file
 from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.comparison.designs import Pair, compare_designs
+from rrr_oc.comparison.fleet import Fleet, fleet
 from rrr_oc.comparison.models import Compared, Side, compare_models
-from rrr_oc.comparison.words import design_verdict, verdict
+from rrr_oc.comparison.words import design_verdict, fleet_table, fleet_verdict, verdict
 from rrr_oc.diagnosis import diagnosis_file
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.errors import UserError
-from rrr_oc.schema import parsed, read_json
+from rrr_oc.schema import built, parsed, read_json, with_nan
 from rrr_oc.storage import plain, read_utf8
 
 FORMAT = "rrr_oc-comparison/1"
@@ -32,6 +35,24 @@ def compared(a: Path, b: Path) -> Compared | Designs:
         return compare_models(one, other)
     kinds = [f"{path} is a {'design' if isinstance(x, DesignFile) else 'model'}" for path, x in ((a, one), (b, other))]
     raise UserError(f"{', but '.join(kinds)}; two of a kind can be compared")
+
+
+def compared_fleet(paths: Sequence[Path]) -> Fleet:
+    """Diagnoses of arms of one make, each a folder or its diagnosis.json; raises `UserError` for anything else."""
+    sides = [_read(path) for path in paths]
+    told = [one for one in sides if isinstance(one, Side) and one.told is not None]
+    if len(told) < len(sides):
+        other = next(path for path, one in zip(paths, sides, strict=True) if one not in told)
+        raise UserError(f"{other}: is no diagnosis; a comparison of more than two, and a page, is one of diagnoses")
+    return fleet(told, [built(with_nan(one.told, DiagnosisFile), DiagnosisFile) for one in told])
+
+
+def fleet_data(found: Fleet) -> dict[str, Any]:
+    """A fleet as plain data; the diagnoses have their own files."""
+    header, rows = fleet_table(found)
+    arms = [dict(zip(header, row, strict=True)) for row in rows]
+    outliers = [{"arm": one.arm, "median": one.median, "times": one.times, **asdict(one.of)} for one in found.outliers]
+    return plain({"format": FORMAT, "kind": "fleet", "said": fleet_verdict(found), "arms": arms, "outliers": outliers})
 
 
 def as_data(a: Path, b: Path, found: Compared | Designs) -> dict[str, Any]:

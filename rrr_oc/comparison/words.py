@@ -1,12 +1,17 @@
 """Comparisons as people read them: rows of tables, and sentences."""
 
+from collections import Counter
 from collections.abc import Mapping
+from typing import Any
 
+from rrr_oc.calibration.link_findings import OffLink
 from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.comparison.designs import Pair
+from rrr_oc.comparison.fleet import Fleet
 from rrr_oc.comparison.models import LEVEL, Alone, Change, Compared
+from rrr_oc.diagnosis.diagnosis_file import ClaimEntry, DiagnosisFile, Unexplained
 from rrr_oc.effects.words import NORMAL, Number, joint_words, listed, rounded, words
-from rrr_oc.report.diagnosis_words import DEGREES, called
+from rrr_oc.report.diagnosis_words import DEGREES, called, percent
 from rrr_oc.report.tables import spring_unit
 
 Both = tuple[float | None, float | None]
@@ -113,3 +118,73 @@ def _cells(both: Both, factor: float) -> list[str]:
 
 def _ratio(a: float | None, b: float | None) -> str:
     return f"{100 * (b / a - 1):+.1f} %" if a and b is not None else "–"
+
+
+def fleet_verdict(found: Fleet) -> str:
+    """What how many arms lack, and which numbers stand out."""
+    count, parts = len(found.arms), []
+    for k, name in enumerate(found.findings):
+        some = [arm for arm, cells in zip(found.arms, found.cells, strict=True) if _found_itself(cells[k])]
+        parts.append(f"{name} on {'all' if len(some) == count else listed(some) if len(some) < 4 else f'{len(some)}'}")
+    out = Counter(one.arm for one in found.outliers)
+    said = f"Found on {count} arms: {'; '.join(parts)}" if parts else f"Nothing was found on any of {count} arms"
+    each = [f"{arm} by {number} number{'s' * (number > 1)}" for arm, number in out.items()]
+    stands = f"{listed(each)} stand{'s' * (len(out) == 1)} out" if out else "no number of an arm stands out"
+    return f"{said}{f'; {stands}' * bool(found.limit)}."
+
+
+def fleet_table(found: Fleet) -> tuple[list[str], list[list[str]]]:
+    """Arms by findings."""
+    rows = [
+        [arm, words(one.verdict), *map(_cell, cells), _worst(one)]
+        for arm, one, cells in zip(found.arms, found.diagnoses, found.cells, strict=True)
+    ]
+    return ["arm", "verdict", *found.findings, "largest error left out"], rows
+
+
+def outlier_table(found: Fleet) -> tuple[list[str], list[list[str]]]:
+    """Numbers that stand out."""
+    rows = []
+    for one in found.outliers:
+        what, joints, parameter, _, own, *_ = change_row(one.of)
+        factor, unit = DEGREES.get(one.of.unit, (1.0, f" {one.of.unit}" * (one.of.unit != "1")))
+        half = NORMAL * factor * (one.of.std_b or 0.0)
+        rows.append([one.arm, what, joints, parameter, own, f"{rounded(one.median * factor, half)}{unit}", f"{one.times:.1f}"])
+    return ["arm", "what", "joint", "parameter", "value", "median of all", "standard deviations off"], rows
+
+
+def _found_itself(cell: Any) -> bool:
+    return cell is not None and not isinstance(cell, str)
+
+
+def _cell(cell: Any) -> str:
+    """What a diagnosis has of a finding: its numbers, or as what else it is named."""
+    if not _found_itself(cell):
+        return words(cell) if cell else "–"
+    if isinstance(cell, OffLink):
+        return ", ".join(
+            f"{words(d.quantity)} {100 * (d.value / d.urdf - 1):+.3g} %" if d.urdf else words(d.quantity)
+            for d in cell.directions
+        )
+    if isinstance(cell, Unexplained):
+        return percent(cell.probability)
+    return ", ".join(f"{words(name)} {_with_error(*number)}" for name, number in claimed_numbers(cell).items())
+
+
+def _with_error(value: float, std: float | None, unit: str) -> str:
+    factor, shown = DEGREES.get(unit, (1.0, f" {unit}" * (unit != "1")))
+    half = NORMAL * factor * (std or 0.0)
+    return f"{rounded(factor * value, half)}{f' ± {rounded(half, half)}' * bool(half)}{shown}"
+
+
+def claimed_numbers(claim: ClaimEntry) -> dict[str, tuple[float, float | None, str]]:
+    """Value, standard error by its interval, and unit of the single numbers of a claim."""
+    single = {name: e for name, e in claim.parameters.items() if isinstance(e.value, float) and e.unit}
+    return {
+        n: (e.value, (e.interval[1] - e.interval[0]) / 2 / NORMAL if e.interval else None, e.unit) for n, e in single.items()
+    }
+
+
+def _worst(one: DiagnosisFile) -> str:
+    errors = [(b.after.value, joint) for joint, b in one.bootstrap.items() if b.after.value is not None]
+    return f"{_percent(max(errors)[0])} ({joint_words(max(errors)[1])})" if errors else "–"

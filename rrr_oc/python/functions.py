@@ -115,15 +115,17 @@ def export(model: Place | Model | Diagnosis | None, out: Place, **options: Any) 
     return _run(Export, "export", [] if model is None else [_model(model)], out, options)
 
 
-def compare(a: Place | Model | Diagnosis | Design, b: Place | Model | Diagnosis | Design) -> Comparison:
-    """What differs between two diagnoses or models by more than its error, or between two designs, by `rrr-oc compare`.
+def compare(*compared: Place | Model | Diagnosis | Design, out: Place | None = None) -> Comparison:
+    """What differs between two diagnoses or models by more than its error, between two designs, or in a fleet, by `rrr-oc compare`.
 
     Args:
-        a, b: Each a result, or its folder or file; a model may be compared with a diagnosis.
+        compared: Two or more, each a result, or its folder or file; a model may be compared with a diagnosis. More than two are diagnoses.
+        out: Folder for fleet.html, the page of any number of diagnoses.
     """
+    places = [str(one.folder if isinstance(one, Result) else one) for one in compared]
     with progress_alone() as results:
-        run(["compare", *(str(one.folder if isinstance(one, Result) else one) for one in (a, b))])
-    return Comparison(Path(results[-1]["b"]), results[-1])
+        run(["compare", *places, *(["--out", str(out)] if out else [])])
+    return Comparison(Path(out or places[-1]), results[-1])
 
 
 def _path(recordings: Place | Recordings) -> Path:

@@ -296,7 +296,8 @@ class Simulation(Result):
 
 
 class Comparison(Result):
-    """Two diagnoses, models or designs side by side; `folder` is the second's. Its table has a row for each number that differs, or agrees."""
+    """Diagnoses, models or designs side by side; `folder` is the last one's, or that of the page. Its table has a row for each number that
+    differs, or agrees, and of a fleet one for each arm."""
 
     @property
     def said(self) -> str:
@@ -305,6 +306,9 @@ class Comparison(Result):
     def table(self) -> Rows:
         if self.content["kind"] == "designs":
             return self._of_designs()
+        if self.content["kind"] == "fleet":
+            arms = self.content["arms"]
+            return list(arms[0]), [list(arm.values()) for arm in arms]
         rows = []
         for one in self.content["changes"]:
             factor, unit = diagnosis_words.DEGREES.get(one["unit"], (1.0, one["unit"]))

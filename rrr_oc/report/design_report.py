@@ -38,8 +38,8 @@ LEFT_OPEN = (
 )
 ORDERS = (
     "An extension or compression spring is pulled by a cable on a pulley of that radius. Wire is music wire up to 6.5 mm and chrome-vanadium "
-    "wire above; the coil is the mean diameter, the size the outside diameter and the greatest length in use, with hooks. The slack angle is "
-    "that of the joint, or of the pulley r_1 of a cable across two joints; the deflection is counted from there. Tolerances are those of "
+    "wire above; the coil is the mean diameter, the size the outside diameter and the greatest length in use, with hooks. The unloaded angle "
+    "is that of the joint, or of the pulley r_1 of a cable across two joints; the deflection is counted from there. Tolerances are those of "
     "quality 2. A torsion spring would touch a rod of the diameter given. An extension spring is wound with the initial tension given, or "
     "with gaps and none, where its cable gets slack or carries little. Compression springs need a rod or a tube. The masses do not act on "
     "the arm."
@@ -352,7 +352,7 @@ def order_table(c: Configuration) -> Table:
         "spring",
         "made as",
         "rate",
-        "slack at",
+        "unloaded at",
         "deflection",
         "load",
         "energy [J]",

@@ -223,8 +223,8 @@ def hardware(c: Configuration, joints: Sequence[str]) -> str:
     left, said = dict(c.springs), []
     for n, joint in enumerate(joints, 1):
         if f"k_p{n}" in left and f"q_eq{n}" in left:
-            stiffness, slack = _number("k_p", left.pop(f"k_p{n}")), _number("q_eq", left.pop(f"q_eq{n}"))
-            said.append(f"a spring of {stiffness} on {joint}, slack at {slack}")
+            stiffness, unloaded = _number("k_p", left.pop(f"k_p{n}")), _number("q_eq", left.pop(f"q_eq{n}"))
+            said.append(f"a spring of {stiffness} on {joint}, unloaded at {unloaded}")
     if "k_b" in left:
         said.append(f"a spring of {_number('k_b', left.pop('k_b'))} across two joints")
     shown = spring_words(left, joints)
@@ -258,7 +258,7 @@ def mounts(c: Configuration) -> list[str]:
         if "active" in ways:
             sign, where = (1, "below") if ways["active"] == "below" else (-1, "above")
             said.append(
-                f"where {joints[0]} is {where} the angle at which it is slack; there it turns {_turned(joints, [sign])}"
+                f"where {joints[0]} is {where} the angle at which it is unloaded; there it turns {_turned(joints, [sign])}"
             )
         if "winding" in ways:
             said.append(f"while its cable is taut; then it turns {_turned(joints, ways['winding'])}")
@@ -302,9 +302,9 @@ def make(part: Part) -> str:
 
 
 def of_load(part: Part) -> list[str]:
-    """Rate, angle at which a spring is slack, deflection in use and load of a part, the first two with their tolerances."""
+    """Rate, angle at which a spring is unloaded, deflection in use and load of a part, the first two with their tolerances."""
     off = math.degrees(part.rest_tolerance / (part.pulley_m or 1.0))
-    slack = f"{math.degrees(part.slack_rad):.1f} ± {off:.0f}°"
+    unloaded = f"{math.degrees(part.slack_rad):.1f} ± {off:.0f}°"
     if part.pulley_m is None:
         rate, deflection, load = (
             f"{part.rate:.4g}",
@@ -316,7 +316,7 @@ def of_load(part: Part) -> list[str]:
         rate, deflection, load = f"{part.rate / 1e3:.4g}", [1e3 * x for x in (part.least, part.greatest)], f"{part.load:.4g} N"
         units = "N/mm", " mm"
     low, high = deflection
-    return [f"{rate} {units[0]} ± {100 * part.rate_tolerance:.1f} %", slack, f"{low:.1f} … {high:.1f}{units[1]}", load]
+    return [f"{rate} {units[0]} ± {100 * part.rate_tolerance:.1f} %", unloaded, f"{low:.1f} … {high:.1f}{units[1]}", load]
 
 
 def weakest(part: Part) -> str:
@@ -478,7 +478,7 @@ def _covered(c: Configuration) -> str:
         return f"Solved were {starts} starts, and no motions for held springs."
     return (
         f"Solved were {starts} starts, and {found.motions} motions for {found.springs} different springs, {found.swings} of them with a "
-        "swing more or less than others."
+        "turn to and fro more or less than others."
     )
 
 
@@ -528,19 +528,19 @@ def symbols(found: Found) -> list[tuple[str, str]]:
     used = {name for c in found.values() for name in c.springs}
     known = {
         "k_p": "stiffness of a spring in parallel with a joint",
-        "q_eq": "angle of the joint at which that spring is slack",
+        "q_eq": "angle of the joint at which that spring is unloaded",
         "k_t": "stiffness of a spring across one joint that pulls both ways",
-        "q_t": "angle of the joint at which that spring is slack",
+        "q_t": "angle of the joint at which that spring is unloaded",
         "k_v": "stiffness of a cable's spring over a pulley at one joint",
-        "q_v": "angle of the joint at which that cable is slack",
+        "q_v": "angle of the joint at which that cable is unloaded",
         "r1_v": "with r2_v to r5_v the radii of that pulley, whose profile is in a CSV file beside the results",
         "n_n": "number of springs in parallel, each as its table says, across one joint",
         "q_n": "angle of the joint at which the angle of that table is 0",
         "k_c": "stiffness of a spring that a clutch connects to one joint in one phase",
-        "q_c": "angle of the joint at which that spring is slack, in the middle between start and release",
+        "q_c": "angle of the joint at which that spring is unloaded, in the middle between start and release",
         "k_bc": "with q_0c and r_1c to r_3c a spring across two joints that a clutch connects in one phase, named as if always connected",
         "k_b": "stiffness of a spring across two joints",
-        "q_0": "angle that sets where the spring across two joints is slack",
+        "q_0": "angle that sets where the spring across two joints is unloaded",
         "r_1": "radius of the pulley at the spring, which turns its stiffness into torque",
         "r_2": "radius of the pulley at the first of the two joints",
         "r_3": "radius of the pulley at the second of the two joints",

@@ -65,7 +65,7 @@ def _write(diagnosis: Diagnosis, folder: Path, found: dict[str, Any], command: s
 
 
 def _alone(diagnosis: Diagnosis) -> list[str]:
-    """Held-out recordings whose physical set-up no recording in the fit has, where a term is present in some set-ups only."""
+    """Held-out recordings of whose group no recording is in the fit, where a term is present in some groups only."""
     every, result = diagnosis.recordings.recordings, []
     if diagnosis.way == "recordings" and any(term.groups for term in diagnosis.model.terms):
         for fold in diagnosis.folds:

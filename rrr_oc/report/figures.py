@@ -182,7 +182,7 @@ def _draw_panel(axis: Any, panel: Panel) -> None:
         axis.set_aspect("equal")
     if any(curve.text for curve in figure.curves):
         axis.margins(0.15)  # so that words have room
-        axis.ticklabel_format(useOffset=False)
+        axis.ticklabel_format(axis="x" if figure.names else "both", useOffset=False)
 
 
 def _number(axis: Any, ticks: Sequence[float]) -> None:

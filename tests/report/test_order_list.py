@@ -24,7 +24,7 @@ def test_a_row_has_what_a_maker_needs_in_mm_and_degrees():
     rows = rows_of(Axis(2.0, np.radians(30.0)), (np.radians(20.0), np.radians(120.0)), SpringLimits())
     torsion = rows["torsion"]
     assert torsion["rate"].startswith("2 Nm/rad ± ")
-    assert torsion["slack at"].startswith("30.0 ± ")
+    assert torsion["unloaded at"].startswith("30.0 ± ")
     assert (torsion["deflection"], torsion["load"], torsion["energy [J]"]) == ("20.0 … 120.0°", "4.19 Nm", "4.39")
     pulley = float(rows["extension"]["made as"].split()[-2]) / 1e3
     assert rows["extension"]["rate"].split()[0] == f"{2 / pulley**2 / 1e3:.4g}"

@@ -3,9 +3,7 @@
 import json
 import os
 import re
-import shutil
 from base64 import b64decode
-from collections.abc import Iterator
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
@@ -401,7 +399,7 @@ def test_the_verdict_compares_at_equal_cycle_times_what_was_compared():
 def test_the_verdict_of_a_design_names_the_best_its_gain_and_what_is_bought():
     said = verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0), PEA_=designs.design(60.0)))
     assert said.startswith("PEA is best: E1 is 50 N²m²s, 75.0 % less than the 200 N²m²s of stiff actuation. To buy for PEA*: ")
-    springs = "a spring of 10 Nm/rad on b, slack at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
+    springs = "a spring of 10 Nm/rad on b, unloaded at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
     assert hardware(designs.design(1.0), ["a", "b", "c"]) == springs
     assert said.endswith(f"{springs}. Then E1 is 60 N²m²s, 70.0 % less than the 200 N²m²s of stiff actuation.")
     assert "no catalogue of springs to buy was searched" in verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0)))
@@ -512,20 +510,6 @@ def test_a_bound_is_told_in_words():
         bound(sentence)
         == "Moving the upper bound of stiffness of the parallel spring of b (13 Nm/rad) outward would save 12 % of E1."
     )
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A Chromium without a window; skips where there is none."""
-    driver = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra `test`")
-    names = ("chromium", "google-chrome", "chrome-headless-shell")
-    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
-    if found is None:
-        pytest.skip(f"no browser: none of {', '.join(names)} is on the path, and CHROMIUM names none")
-    with driver.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=found, args=["--no-sandbox"])  # which root in a container needs
-        yield opened
-        opened.close()
 
 
 @pages

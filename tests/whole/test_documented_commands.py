@@ -96,6 +96,7 @@ NOT_RUN = {
     "validation/kills.py": ("minutes", "tests/whole/test_study.py"),
     "validation/known_misses.py": ("half an hour", "tests/validation/test_known_misses.py"),
     "python docs/dependencies.py": ("it writes a page; a test compares that page", "tests/test_packaging.py"),
+    "python -m docs.from_code": ("it writes into the pages; a test makes them elsewhere", "tests/whole/test_readme.py"),
     "python -m validation.demo": ("it writes into the package; a test compares", "tests/commands/test_demo.py"),
     "python -m validation.chains": ("minutes to hours", "tests/validation/test_chains.py"),
     "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),

@@ -8,10 +8,12 @@ import sys
 from types import SimpleNamespace
 
 import mujoco
+import numpy as np
 import pytest
 from doc_pages import ROOT, blocks, code
 from PIL import Image
 
+from docs.from_code import pictures
 from docs.from_code.notebooks import BEGIN, END, PAGES, cells, shown
 from rrr_oc import cli
 from rrr_oc.commands import COMMANDS
@@ -63,6 +65,14 @@ def test_the_demo_designs_a_spring_and_shows_it(done):
     assert found["PEA"]["cost"] < 0.5 * found["SA"]["cost"]
     with Image.open(folder / "demo/design.gif") as picture:
         assert picture.n_frames > 20  # type: ignore[attr-defined]
+
+
+def test_the_pictures_of_the_pages_are_those_of_the_demo(done, tmp_path):
+    pictures.write(done[0] / "demo", tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == set(pictures.MADE)
+    for name in pictures.MADE:
+        with Image.open(tmp_path / name) as now, Image.open(pictures.IMAGES / name) as then:
+            assert np.allclose(now.size, then.size, rtol=0.02)
 
 
 QUICK = '"starts": 1, "motions": 0, "intervals": 16, "cycle_times": "none", "tolerance": 1e-2'

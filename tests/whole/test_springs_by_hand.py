@@ -72,7 +72,7 @@ def with_springs(report: str, make: str) -> mujoco.MjSpec:
     radius = {i: number(hardware[f"r_{i} [mm]"]) / 1e3 for i in (1, 2, 3)}
     for name, row in ordered(report, make).items():
         pulley = re.search(r"pulley ([\d.]+) mm", row["made as"])
-        rate, slack = number(row["rate"]), np.radians(number(row["slack at"]))
+        rate, slack = number(row["rate"]), np.radians(number(row["unloaded at"]))
         assert ("Nm/rad" if pulley is None else "N/mm") in row["rate"]
         r, rate = (1.0, rate) if pulley is None else (float(pulley[1]) / 1e3, 1e3 * rate)
         (says,) = re.findall(rf"- The {name} acts (.*)", report)
@@ -86,7 +86,7 @@ def with_springs(report: str, make: str) -> mujoco.MjSpec:
                 arms = {joint: arm / radius[1] for joint, arm in arms.items()}
             tendon(spec, arms, rate, r * slack)
         else:
-            joint, side = re.match(r"where (\w+) is (below|above) the angle at which it is slack", says).groups()
+            joint, side = re.match(r"where (\w+) is (below|above) the angle at which it is unloaded", says).groups()
             if pulley is None and number(row["deflection"]) > 0:  # on the axis, and never slack: a spring of the joint itself
                 own = spec.joint(joint)
                 own.stiffness, own.springref = [rate, 0, 0], slack

@@ -3,6 +3,7 @@
 import copy
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -192,7 +193,7 @@ def test_designs_are_compared_at_equal_times_and_with_springs_that_balance(out, 
     assert found["PEA"]["cost"] < found["PEA"]["balancing"]["cost"]
     assert set(found["PEA"]["balancing"]["springs"]) == set(found["PEA"]["springs"])
     assert "PEA, balanced at rest" in text
-    assert "The parallel spring of joint2 acts where joint2 is below the angle at which it is slack; there it turns" in text
+    assert "The parallel spring of joint2 acts where joint2 is below the angle at which it is unloaded; there it turns" in text
 
 
 @pytest.mark.parametrize(
@@ -405,6 +406,26 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     assert list(again) == ["PEA", "PEA*"]
     assert again["PEA"]["cost"] == first["PEA"]["cost"]
     assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)
+
+
+def test_ctrl_c_behind_the_search_keeps_the_design(tmp_path, monkeypatch, capsys):
+    """It comes while the design is certified: that ends, the report says what is missing, and the same command goes on from there."""
+    certify, command = steps.certify, ["paper", *TINY, "--configurations", "SA,PEA", "--out", str(tmp_path)]
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return certify(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps, "certify", interrupted)
+        assert rrr_oc(patch, "design", *command) == 130
+    found = json.loads((tmp_path / "summary.json").read_text())
+    assert list(found["configurations"]) == ["SA"]
+    assert found["unfinished"][0] == "PEA"
+    assert "Unfinished: PEA" in (tmp_path / "report.md").read_text()
+    capsys.readouterr()
+    assert rrr_oc(monkeypatch, "design", *command) == 0
+    assert "SA: taken from" in capsys.readouterr().err
 
 
 def test_what_is_unfinished_is_what_was_asked_and_is_not_found(tmp_path):

@@ -1,5 +1,6 @@
-"""`rrr-oc compare`: two diagnoses, models or designs side by side."""
+"""`rrr-oc compare`: diagnoses, models or designs side by side."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -7,35 +8,65 @@ import typer
 from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.errors import ends_at_once
+from rrr_oc.errors import UserError, ends_at_once
+from rrr_oc.storage import check_folder
 
 app = typer.Typer(add_completion=False)
-Given = Annotated[Path, typer.Argument(help="a diagnosis, model or design: its folder, or its JSON file")]
 
 
 @app.command()
 def compare(
-    a: Given,
-    b: Given,
+    results: Annotated[list[Path], typer.Argument(help="two or more diagnoses, models or designs: folders, or JSON files")],
+    out: Annotated[Path | None, typer.Option(help="folder for fleet.html, the page of any number of diagnoses")] = None,
     every: Annotated[bool, typer.Option("--all", help="show the numbers that agree within their errors, too")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Show what differs between two diagnoses or models by more than its error, or between two designs."""
+    """Show what differs between two diagnoses or models by more than its error, between two designs, or in a fleet of diagnosed arms."""
+    if len(results) < 2:
+        raise UserError("one result was given; two or more can be compared")
+    output = Output(quiet, as_json)
+    if len(results) > 2 or out is not None:
+        _fleet(results, out, output)
+    else:
+        _two(results[0], results[1], every, output)
+
+
+def _fleet(paths: Sequence[Path], out: Path | None, output: Output) -> None:
+    with ends_at_once():
+        from rrr_oc.comparison.page import write_fleet_page
+        from rrr_oc.comparison.results import compared_fleet, fleet_data
+        from rrr_oc.comparison.words import fleet_table, fleet_verdict, outlier_table
+    found = compared_fleet(paths)
+    output.result(fleet_data(found))
+    for header, rows in (fleet_table(found), outlier_table(found)):
+        if rows:
+            output.show(_table(header, rows))
+    output.show(fleet_verdict(found))
+    if out is not None:
+        check_folder(out)
+        output.show(f"{write_fleet_page(found, out)} is the page.")
+
+
+def _two(a: Path, b: Path, every: bool, output: Output) -> None:
     with ends_at_once():
         from rrr_oc.comparison.models import Compared
         from rrr_oc.comparison.results import as_data, compared
         from rrr_oc.comparison.words import CHANGES, change_row, design_table, design_verdict, sentences
-    output, found = Output(quiet, as_json), compared(a, b)
+    found = compared(a, b)
     output.result(as_data(a, b, found))
     if isinstance(found, Compared):
         header, rows = CHANGES, [change_row(one) for one in found.changes if every or one.changed]
     else:
         header, rows = design_table(*found)
+    if rows:
+        output.show(_table(header, rows))
+    for line in sentences(found) if isinstance(found, Compared) else [f"{design_verdict(*found)}."]:
+        output.show(line)
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     table = Table(*header)
     for row in rows:
         table.add_row(*row)
-    if rows:
-        output.show(table)
-    for line in sentences(found) if isinstance(found, Compared) else [f"{design_verdict(*found)}."]:
-        output.show(line)
+    return table

@@ -27,7 +27,7 @@ def command(
 ) -> None:
     """Show a motion: the arm with its springs and payload, and the torques of its joints beside it, in real time.
 
-    A spring's colour is its tension, from grey, slack, to red. The springs of a design are those of the summary.json beside it.
+    A spring's colour is its tension, from grey, without load, to red. The springs of a design are those of the summary.json beside it.
     """
     with ends_at_once():
         from rrr_oc.commands.moving.sources import chosen, designed, recorded

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
+from PIL import Image
 
 from rrr_oc.errors import UserError
 from rrr_oc.report.figures import COLOURS, FOOTER, plt
@@ -20,10 +21,25 @@ from rrr_oc.report.moving.scene import Scene, tension_colour
 from rrr_oc.storage import new_file
 
 FRAMES_PER_SECOND = 20  # of the picture
-WRITERS = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 DPI = 90  # of the picture
+SHADES = 128  # of a GIF
 EMPTY: dict[str, Any] = {"frame_on": False, "xticks": [], "yticks": []}  # axes of which nothing is seen
 HEAVY = 2.0  # [kg] of a payload drawn at the usual size of a joint; its area grows in proportion
+
+
+class GifWriter(PillowWriter):
+    """With one palette for all frames and no dither, which halves the file."""
+
+    def finish(self) -> None:
+        frames = [frame.convert("RGB") for frame in self._frames]
+        some = np.vstack([np.asarray(frame).reshape(-1, 3) for frame in frames[:: max(len(frames) // 8, 1)]])
+        each = np.unique(some // 8 * 8, axis=0)  # beside what fills the picture, so that thin lines keep their colour
+        palette = Image.fromarray(np.vstack([some[::50], each])[None]).quantize(SHADES)
+        self._frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+        super().finish()
+
+
+WRITERS = {".gif": GifWriter, ".mp4": FFMpegWriter}
 
 
 def animate(scene: Scene, path: Path, renderer: Renderer = "mujoco") -> tuple[Renderer, str]:
@@ -120,7 +136,7 @@ def _solid(scene: Scene, axis: Any, pictures: Iterator[np.ndarray]) -> Callable[
     """The arm as MuJoCo draws it."""
     image = axis.imshow(np.full((SIZE, SIZE, 3), 255, np.uint8))
     if scene.most > 0:
-        names = ("slack", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
+        names = ("no load", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
         for share, name in zip((0.0, 0.5, 1.0), names, strict=True):
             axis.plot([], [], lw=4, color=tension_colour(share), label=name)
         axis.legend(fontsize=7, loc="upper left", title="springs", title_fontsize=7)

@@ -9,7 +9,7 @@ from rrr_oc.robot.robot import Robot, ToolPoint
 
 THICKNESS = 0.08  # radius of a link, as a share of the arm's mean link; doubled, a thicker arm
 ARM, JOINT, HELD = (0.72, 0.76, 0.82, 1.0), (0.24, 0.31, 0.41, 1.0), (0.77, 0.35, 0.07, 1.0)  # colours, and their opacity
-TENSION = np.array([[0.62, 0.62, 0.62], [0.98, 0.78, 0.25], [0.78, 0.07, 0.07]])  # colours of a spring: slack, half, most
+TENSION = np.array([[0.62, 0.62, 0.62], [0.98, 0.78, 0.25], [0.78, 0.07, 0.07]])  # colours of a spring: no load, half, most
 HEAVY = 0.045  # [m] radius of a payload of 1 kg, which grows with the cube root of the mass: a ball of 2.6 kg a litre
 COIL = 97  # points along a coil; doubled, smoother ones
 
