@@ -12,7 +12,7 @@ from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Clutched, DesignSpring, Effect
+from rrr_oc.effects import Clutched, DesignSpring, Effect, Wound
 from rrr_oc.effects.base import Signals
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
@@ -150,15 +150,15 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
 
 
 def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Least and greatest deflection of each helical spring of a design along a motion (`DesignSpring.stretch`) [rad], by its label; 0
+    """Least and greatest deflection of each helical spring of a design along a motion (`Wound.stretch`) [rad], by its label; 0
     where it is slack."""
     found, values, q = {}, design.model.values(parameters), design.task.full(motion.q)
     for effect in (spring.effect for spring in design.springs if not spring.known):
         label, acts = design.model.label(effect), np.ones(len(motion.t), bool)
         if isinstance(effect, Clutched):  # in the other phase it is held as it is
             acts = motion.phase == PHASES.index(effect.phase)
-        stretch = effect.stretch(Signals(q[:, acts]), values[label]) if isinstance(effect, DesignSpring) else None
-        if stretch is not None:
+        if isinstance(effect, Wound):
+            stretch = effect.stretch(Signals(q[:, acts]), values[label])
             found[label] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
     return found
 
