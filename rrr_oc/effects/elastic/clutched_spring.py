@@ -25,9 +25,7 @@ class ClutchedSpring(Clutched, TwoSidedSpring):
     name = "clutched_spring"
     equation = "tau = -stiffness (q - equilibrium) in one phase of a task, else 0"
     plain = "In one phase ({phase}) a spring pulls {joints} towards {equilibrium:deg} from both sides: {stiffness}."
-    design = DesignForm(
-        "CPEA", "springs across one joint that a clutch connects in one phase", about_a_joint("k_c", "q_c")
-    )
+    design = DesignForm("CPEA", "springs across one joint that a clutch connects in one phase", about_a_joint("k_c", "q_c"))
 
     def kept_energy(self, lower, upper, ends):
         """The equilibrium is the middle between the ends."""
