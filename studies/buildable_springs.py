@@ -90,9 +90,10 @@ def main(
     cycle_times: Annotated[str, typer.Option(help="comma-separated [s]")] = "3,4,6,8",
     jerk: Annotated[float, typer.Option(min=100, help="limit of each joint [°/s³]")] = 900.0,
     starts: Annotated[int, typer.Option(min=1, help="of each search")] = 4,
-    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 12,
+    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 8,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-3,
+    intervals: Annotated[int, typer.Option(min=8, help="of a phase on the first fine mesh")] = 24,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
 ) -> None:
@@ -102,7 +103,8 @@ def main(
     except ValueError:
         raise UserError(f"--cycle-times is {cycle_times!r}; numbers of seconds, comma-separated, are required") from None
     check_folder(out)
-    few = SearchOptions(starts=starts, motions=motions, seed=seed, springs=4, rounds=1, refinement=Refinement(tolerance))
+    few = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance))
+    few = replace(few, fine=intervals, coarse=intervals * few.coarse // few.fine)
     run, found, console = Run(out, float(np.radians(jerk)), times, few, Output()), dict[str, Any](), wide_console()
     with parallel.workers(jobs, workers):
         for name in (RIGID, "PEA", ALL, BALANCED):
@@ -110,7 +112,7 @@ def main(
             found[name] = once(run, name, partial(_optimum, run, name, list(found)), [name])
             console.print(f"{name}: at {', '.join(f'{t:g}' for t in times)} s")
             files = [_file(name, time) for time in times]
-            found[name] |= {"at": once(run, f"{name} at times", partial(_at_times, run, name, list(found)[:-1]), files)}
+            found[name] |= once(run, f"{name} at times", partial(_at_times, run, name, list(found)[:-1]), files)
     write_json(out / "summary.json", {"jerk_deg_per_s3": jerk, "cycle_s": times, "designs": found})
     table = _report(run, found)
     write_text(out / "report.md", table)
@@ -139,7 +141,7 @@ def _optimum(run: Run, name: str, before: Sequence[str]) -> dict[str, Any]:
     return _told(design, solution)
 
 
-def _at_times(run: Run, name: str, before: Sequence[str]) -> list[dict[str, Any] | None]:
+def _at_times(run: Run, name: str, before: Sequence[str]) -> dict[str, Any]:
     """At each cycle time the best that is found, from the optimum and from what was found with fewer springs; None where nothing is."""
     design, solution = run.design(name), _kept(run, name, name)
     if name == BALANCED:
@@ -151,7 +153,7 @@ def _at_times(run: Run, name: str, before: Sequence[str]) -> list[dict[str, Any]
     solutions = at_cycle_times(design, solution, run.times, inner, run.options)
     for time, one in solutions.items():
         write_npz(kept_motion(run, _file(name, time)), restart_arrays(one))
-    return [_told(design, solutions[time]) if time in solutions else None for time in run.times]
+    return {"at": [_told(design, solutions[time]) if time in solutions else None for time in run.times]}
 
 
 def _kept(run: Run, name: str, file: str) -> Solution:
