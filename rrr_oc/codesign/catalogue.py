@@ -90,12 +90,12 @@ class Choices:
     """What a catalogue offers for a design.
 
     Attributes:
-        design: The design, of one task or of several.
+        design: The design.
         of_spring: For each of its springs the distinct choices within the task's bounds.
         combinations: Number of combinations before equivalent hardware is merged.
     """
 
-    design: CoDesign | SetDesign
+    design: SetDesign
     of_spring: list[list[Choice]]
     combinations: int
 
@@ -145,10 +145,9 @@ class Choices:
         return np.round(self.bounds[spring][0][kinds[spring], column], 9)
 
 
-def choices_of(design: CoDesign | SetDesign, catalogue: Catalogue) -> Choices:
+def choices_of(design: SetDesign, catalogue: Catalogue) -> Choices:
     """What a catalogue offers within the task's bounds; raises `UserError` where it has nothing for a spring."""
-    one = design.first if isinstance(design, SetDesign) else design
-    offers = [_distinct(spring, _inside(one, spring, catalogue)) for spring in design.springs]
+    offers = [_distinct(spring, _inside(design.first, spring, catalogue)) for spring in design.springs]
     return Choices(design, [kinds for kinds, _ in offers], int(np.prod([count for _, count in offers], dtype=int)))
 
 

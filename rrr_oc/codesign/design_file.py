@@ -310,7 +310,7 @@ class Compromise(Struct, frozen=True, forbid_unknown_fields=True):
     """The best springs where the first task weighs more than in the set.
 
     Attributes:
-        share: Share of the objective that is the first task's cost alone [1].
+        share: Share of the objective that is the first task's cost alone; 0 is the set's own objective [1].
         first: Cost of the first task, in the cost's unit.
         total: The set's own objective, in the cost's unit.
         springs: By a designer's names, in SI units and radians.

@@ -12,14 +12,16 @@ from scipy.interpolate import CubicSpline
 from rrr_oc.codesign.clearance import Clearance
 from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
-from rrr_oc.codesign.springs import SpringBounds
-from rrr_oc.codesign.task import PHASES, Passed, Task
+from rrr_oc.codesign.springs import SpringBounds, each
+from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
 from rrr_oc.errors import UserError, meant
+from rrr_oc.model.parameters import offsets
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem, Side
 from rrr_oc.robot.drives import Actuators
+from rrr_oc.robot.goals import Goal
 
 COSTS = ("load", "motor", "energy")
 # [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
@@ -107,12 +109,9 @@ class CoDesign:
     @cached_property
     def series(self) -> SeriesElastic:
         """The joints with springs between drive and link; those of known effects are not among them."""
-        firsts = np.cumsum([0, *(len(s.effect.parameters) for s in self.springs)]).tolist()
-        found = [
-            (self.task.moving.index(s.effect.joints[0]), first)
-            for s, first in zip(self.springs, firsts, strict=False)
-            if s.effect.moves_link and not s.known
-        ]
+        firsts = zip(self.springs, offsets(self.model.effects)[:-1], strict=True)
+        own = [(s.effect.joints[0], first) for s, first in firsts if s.effect.moves_link and not s.known]
+        found = [(self.task.moving.index(joint), first) for joint, first in own]
         rows, compliances = zip(*sorted(found), strict=True) if found else ((), ())
         return SeriesElastic(len(self.task.moving), rows, compliances)
 
@@ -252,30 +251,22 @@ class CoDesign:
     def _boundaries(self, index: int, unit: float, springs: tuple[str, ...]) -> tuple[Boundary, ...]:
         """At both ends of a phase the springs in series hold the arm, over a unit of torque; the tool is where the task wants it, a
         condition of the first phase alone, as the other begins and ends in the same postures. And the points that a phase passes."""
-        made, sides = list[Boundary](), get_args(Side)
-        if springs:
-            held = self._held_by_springs(index, unit)
-            made += [Boundary(side, held, springs) for side in sides]
-        for side, goal in zip(sides, self.task.goals, strict=True):
-            if goal is not None and index == 0:
-                x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
-                q = self._all_joints(x[: len(self.task.moving)], self.task.locked)
-                there = goal.equalities(self.model.body, self.task.tool, q)
-                names = tuple(f"place of the tool, direction {k + 1}" for k in range(there.numel()))
-                made.append(Boundary(side, ca.Function("place", [x, p, d], [there]), names))
-        return (*made, *(self._via(passed) for passed in self.task.via if passed.phase == index))
+        sides = get_args(Side)
+        held = [Boundary(side, self._held_by_springs(index, unit), springs) for side in sides if springs]
+        ends = [(side, goal) for side, goal in zip(sides, self.task.goals, strict=True) if goal is not None and index == 0]
+        passed = [(via.share, via.goal or via.angles) for via in self.task.via if via.phase == index]
+        return (*held, *(self._placed(*one) for one in (*ends, *passed)))
 
-    def _via(self, passed: Passed) -> Boundary:
-        """The arm is at a point that it passes."""
+    def _placed(self, at: Side | float, where: Goal | np.ndarray) -> Boundary:
+        """The tool is at a place, or the moving joints are at angles (m,)."""
         x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
         angles = x[: len(self.task.moving)]
-        if passed.goal is None:
-            there, names = angles - ca.DM(passed.angles), tuple(f"angle of {joint}" for joint in self.task.joints)
+        if isinstance(where, np.ndarray):
+            there, names = angles - ca.DM(where), tuple(f"angle of {joint}" for joint in self.task.joints)
         else:
-            q = self._all_joints(angles, self.task.locked)
-            there = passed.goal.equalities(self.model.body, self.task.tool, q)
+            there = where.equalities(self.model.body, self.task.tool, self._all_joints(angles, self.task.locked))
             names = tuple(f"place of the tool, direction {k + 1}" for k in range(there.numel()))
-        return Boundary(passed.share, ca.Function("via", [x, p, d], [there]), names)
+        return Boundary(at, ca.Function("place", [x, p, d], [there]), names)
 
     def _held_by_springs(self, index: int, unit: float) -> ca.Function:
         """(x, p, d) -> torque of the springs in series less what holds the arm still, over a unit (e,)."""
@@ -339,12 +330,9 @@ class CoDesign:
 
     def limited_at(self, q, p) -> list[Limited]:
         """The same at angles of the moving joints (m,) and parameters (np,), numbers or casadi's."""
-        found, at, signals = list[Limited](), 0, Signals(self._all_joints(q, self.task.locked))
-        for spring in self.springs:
-            theta = {parameter.name: p[at + i] for i, parameter in enumerate(spring.effect.parameters)}
-            found += limited(spring, self.model.label(spring.effect), self.task.spring_limits, signals, theta)
-            at += len(theta)
-        return found
+        signals, limits = Signals(self._all_joints(q, self.task.locked)), self.task.spring_limits
+        of_each = (limited(s, self.model.label(s.effect), limits, signals, theta) for s, theta in each(self.springs, p))
+        return [one for some in of_each for one in some]
 
     def _rates(self, index: int) -> ca.Function:
         task, m, series = self.task, len(self.task.moving), self.series
@@ -403,15 +391,13 @@ class CoDesign:
 
     def _design(self) -> tuple[ca.Function | None, tuple[str, ...]]:
         p, d = ca.SX.sym("p", len(self.model.parameters)), ca.SX.sym("d", len(self.data_names))
-        rows, names, at, offset = [], [], 0, len(self.data_names) - 2 * sum(len(s.hardware) for s in self.springs)
-        for spring in self.springs:
-            size = len(spring.effect.parameters)
+        rows, names, offset = [], [], len(self.data_names) - 2 * sum(len(s.hardware) for s in self.springs)
+        for spring, theta in each(self.springs, p):
             if spring.hardware:
                 bounds = {h: (d[offset + 2 * i], d[offset + 2 * i + 1]) for i, h in enumerate(spring.hardware)}
-                rows.append(spring.form.exists([p[at + i] for i in range(size)], bounds))
+                rows.append(spring.form.exists([*theta.values()], bounds))
                 names += spring.form.limits
                 offset += 2 * len(spring.hardware)
-            at += size
         return (ca.Function("design", [p, d], [ca.vertcat(*rows)]), tuple(names)) if rows else (None, ())
 
     def _holding_cost(self) -> float:
@@ -460,9 +446,8 @@ class CoDesign:
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""
-        found, numbers = {}, iter(np.asarray(parameters, float).tolist())
-        for spring in self.springs:
-            named = {p.name: next(numbers) for p in spring.effect.parameters}
+        found = {}
+        for spring, named in each(self.springs, np.asarray(parameters, float).tolist()):
             if not spring.known:
                 bounds = spring.hardware
                 if bounds and self.task.spring_limits.force_N is not None:

@@ -11,8 +11,9 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.springs import each
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Clutched, DesignSpring, Effect
+from rrr_oc.effects import Clutched, DesignSpring, Effect, Wound
 from rrr_oc.effects.base import Signals
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
@@ -128,38 +129,34 @@ def profiles(task: Task, springs: Sequence[tuple[Effect, Mapping[str, float]]]) 
 def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
     """Why a spring does nothing along a motion, by its label, for each that does nothing: its exact torque stays below `IDLE` of the
     largest torque that the motion needs."""
-    idle, at = {}, 0
-    needed = float(np.max(np.abs(motion.tau_load + motion.tau_spring)))
-    for spring in design.springs:
-        effect, size = spring.effect, len(spring.effect.parameters)
-        theta, at = parameters[at : at + size], at + size
-        model = design.task.model([effect])
-        exact = np.zeros(model.widths.size)
+    idle, needed = {}, float(np.max(np.abs(motion.tau_load + motion.tau_spring)))
+    for spring, theta in each(design.springs, parameters):
+        effect, model = spring.effect, design.task.model([spring.effect])
+        if spring.known or effect.moves_link:
+            continue
         torques = [
-            model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1]
+            model.inverse(p.q, p.dq, p.ddq, p.payload[0], [*theta.values()], np.zeros(model.widths.size))[1]
             for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
             if not isinstance(effect, Clutched) or effect.phase == name
         ]
-        largest = max(float(np.max(np.abs(np.array(tau)))) for tau in torques)
-        if spring.known or effect.moves_link or largest > IDLE * needed:
-            continue
-        names = [p.name for p in effect.parameters]
-        soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
-        idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
+        if max(float(np.max(np.abs(np.array(tau)))) for tau in torques) <= IDLE * needed:
+            greatest = dict(zip(theta, spring.upper, strict=True))
+            soft = all(theta[name] <= IDLE * greatest[name] for name in effect.amplitudes)
+            idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
     return idle
 
 
 def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Least and greatest deflection of each helical spring of a design along a motion (`DesignSpring.stretch`) [rad], by its label; 0
+    """Least and greatest deflection of each helical spring of a design along a motion (`Wound.stretch`) [rad], by its label; 0
     where it is slack."""
-    found, values, q = {}, design.model.values(parameters), design.task.full(motion.q)
-    for effect in (spring.effect for spring in design.springs if not spring.known):
-        label, acts = design.model.label(effect), np.ones(len(motion.t), bool)
+    found, q = {}, design.task.full(motion.q)
+    for spring, theta in each(design.springs, parameters):
+        effect, acts = spring.effect, np.ones(len(motion.t), bool)
         if isinstance(effect, Clutched):  # in the other phase it is held as it is
             acts = motion.phase == PHASES.index(effect.phase)
-        stretch = effect.stretch(Signals(q[:, acts]), values[label]) if isinstance(effect, DesignSpring) else None
-        if stretch is not None:
-            found[label] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
+        if isinstance(effect, Wound) and not spring.known:
+            stretch = effect.stretch(Signals(q[:, acts]), theta)
+            found[design.model.label(effect)] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
     return found
 
 
@@ -172,16 +169,14 @@ def parts(design: CoDesign, parameters: np.ndarray, turned: Mapping[str, tuple[f
 
 def beyond_known(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
     """How far a motion goes beyond the angles for which the law of a spring is known, by its label, for each that it goes beyond."""
-    said, values, q = {}, design.model.values(parameters), np.degrees(design.task.full(motion.q))
-    for effect in (spring.effect for spring in design.springs if not spring.known):
-        if not isinstance(effect, DesignSpring):
-            continue
-        label, moved = design.model.label(effect), q[effect.joints[0]]
-        low, high = np.degrees(effect.known_range(values[label]))
-        if moved.min() < low - 1e-6 or moved.max() > high + 1e-6:
-            said[label] = (
-                f"known from {low:.1f}° to {high:.1f}° of its joint, which moves from {moved.min():.1f}° to {moved.max():.1f}°"
-            )
+    said, q = {}, np.degrees(design.task.full(motion.q))
+    for spring, theta in each(design.springs, parameters):
+        effect = spring.effect
+        if isinstance(effect, DesignSpring) and not spring.known:
+            (low, high), moved = np.degrees(effect.known_range(theta)), q[effect.joints[0]]
+            if moved.min() < low - 1e-6 or moved.max() > high + 1e-6:
+                way = f"which moves from {moved.min():.1f}° to {moved.max():.1f}°"
+                said[design.model.label(effect)] = f"known from {low:.1f}° to {high:.1f}° of its joint, {way}"
     return said
 
 
@@ -197,8 +192,7 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
     mesh = tuple(arrays[f"mesh_{phase}"] for phase in PHASES)
     problem = replace(design.problem, data=design.data(options.widths[-1]))
     transcription = replace(transcribed(design, options, 1, bool(arrays["everywhere"])), problem=problem, mesh=mesh)
-    empty, cost = np.empty(0), float(arrays["cost"])
-    return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
+    return Solution.bare(transcription, arrays["variables"], float(arrays["cost"]))
 
 
 def known_parameters(design: CoDesign) -> np.ndarray:
@@ -210,11 +204,8 @@ def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | No
     """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
     missing in `outer` or mounted in another way, and where `outer` has more springs between drives and links: these cannot do nothing.
     """
-    left, parameters = list(solution.parameters), []
-    own = {}
-    for spring in inner.springs:
-        size = len(spring.effect.parameters)
-        own[inner.model.label(spring.effect)], left = (spring.effect, left[:size]), left[size:]
+    own = {inner.model.label(s.effect): (s.effect, [*theta.values()]) for s, theta in each(inner.springs, solution.parameters)}
+    parameters = []
     for spring in outer.springs:
         effect, values = own.pop(outer.model.label(spring.effect), (spring.effect, None))
         if any(getattr(effect, key) != getattr(spring.effect, key) for key in effect.options):

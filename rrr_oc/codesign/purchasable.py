@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import Struct
 
 from rrr_oc.codesign.catalogue import Catalogue, Choices, Kinds, choices_of
-from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import ACCEPTED, Optimum, transcribed
 from rrr_oc.codesign.search.multistart import continue_from
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -60,14 +59,14 @@ class CatalogueResult:
     """The best of a catalogue.
 
     Attributes:
-        design: The problem with the best hardware held and the rest free; of several tasks the joint one.
+        design: The problem with the best hardware held and the rest free.
         optimum: Its optimum.
         hardware: Hardware to buy, in SI units.
         coverage: How much of the catalogue was searched.
         runners_up: Costs and hardware of the best choices on the fine mesh.
     """
 
-    design: CoDesign | SetDesign
+    design: SetDesign
     optimum: Optimum
     hardware: dict[str, float]
     coverage: Coverage
@@ -155,7 +154,7 @@ def _part(kinds: Kinds, of: PartChoice, solution: tuple[float, np.ndarray, np.nd
 
 def _solve(
     key: str,
-    design: CoDesign | SetDesign,
+    design: SetDesign,
     options: SearchOptions,
     first: np.ndarray,
     near: np.ndarray,
@@ -172,7 +171,7 @@ def _solve(
 
 
 def search_catalogue(
-    design: CoDesign | SetDesign,
+    design: SetDesign,
     start: Solution,
     catalogue: Catalogue,
     options: SearchOptions | None = None,
@@ -199,8 +198,11 @@ def search_catalogue(
 
 
 def _refined(search: PartSearch, start: Solution, options: SearchOptions) -> CatalogueResult:
-    """The best choices followed to the smallest smoothing width once more, and the best of them refined."""
+    """The best choices followed to the smallest smoothing width once more, and the best of them refined, unless several tasks refine
+    meshes of their own."""
     design, best = search.choices.design, search.single[:FINALISTS]
+    if len(design.designs) > 1:
+        options = replace(options, refinement=replace(options.refinement, rounds=0))
     free = [name for s in design.springs for name in s.form.free_names(s.effect.joints)]
     held = [design.with_fixed(search.choices.hardware(part.kinds), free) for part in best]
     starts = [replace(start.guess(), parameters=part.parameters) for part in best]
@@ -208,6 +210,6 @@ def _refined(search: PartSearch, start: Solution, options: SearchOptions) -> Cat
     if not found:
         raise SolverFailure("no choice of the catalogue could be solved", 0, 0.0, "")
     first, optimum = found[0]
-    runners_up = [{"cost": o.cost, **held[i].hardware(o.solution.parameters)} for i, o in found]
-    hardware = held[first].hardware(optimum.solution.parameters)
+    runners_up = [{"cost": o.cost, **held[i].first.hardware(o.solution.parameters)} for i, o in found]
+    hardware = held[first].first.hardware(optimum.solution.parameters)
     return CatalogueResult(held[first], optimum, hardware, search.coverage(), runners_up)

@@ -14,6 +14,7 @@ from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError, meant
 from rrr_oc.kept import Listener
+from rrr_oc.model.parameters import offsets
 from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
 from rrr_oc.storage import plain
 
@@ -99,6 +100,15 @@ class SpringBounds:
         box = self.lower, self.upper
         lower, upper, fixed = self.form.held(self.effect.joints, box, self.hardware, hardware, keep_free)
         return SpringBounds(self.effect, lower, upper, fixed=fixed)
+
+
+def each(springs: Sequence[SpringBounds], parameters: Any) -> list[tuple[SpringBounds, dict[str, Any]]]:
+    """Each spring with its parameters by name, of those of all (np, ...), numbers or casadi's."""
+    firsts = offsets([spring.effect for spring in springs])
+    return [
+        (spring, {p.name: parameters[first + i] for i, p in enumerate(spring.effect.parameters)})
+        for spring, first in zip(springs, firsts[:-1], strict=True)
+    ]
 
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:

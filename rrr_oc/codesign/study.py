@@ -8,6 +8,7 @@ MuJoCo and, where a calibrated model is given, tracked in that. What can be chec
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -45,11 +46,11 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.posterior.scenarios import Over, over_members
-from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
-from rrr_oc.codesign.search.coarse import Coarse, coarse_search
+from rrr_oc.codesign.purchasable import search_catalogue
+from rrr_oc.codesign.search.coarse import coarse_search
 from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, best_motion, cycle_times, freed
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import SHARES, SearchResult, continue_from, solve_multistart
+from rrr_oc.codesign.search.multistart import SHARES, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.search.starts import layers
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
@@ -394,12 +395,7 @@ def _results(
         return
     starred = f"{name}*"
     try:
-        buy = (
-            partial(_buy, study, starred, design.first)
-            if study.single
-            else partial(_buy_shared, study, starred, design, solved)
-        )
-        bought = _once(study, starred, buy)
+        bought = _once(study, starred, partial(_buy, study, starred, design, solved))
     except SolverFailure as failure:
         study.listener.show(f"{starred}: no choice of the catalogue could be solved: {failure}")
         yield name, msgspec.structs.replace(solved, not_bought=str(failure))
@@ -435,7 +431,7 @@ def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str
     tried = continue_from([(design.first, replace(guess, parameters=known_parameters(design.first)))], study.options)
     if not tried or tried[0][1].cost >= stiff.cost:
         return {}
-    better = _described(study, "SA", SetResult.of_one(design, tried[0][1]), began)
+    better = _described(study, "SA", SetResult.apart(design, [tried[0][1]]), began)
     better = msgspec.structs.replace(better, optima=stiff.optima, layers=stiff.layers, covered=stiff.covered)
     save(study, "SA", data(better), ["SA"])
     return {"SA": _compared(study, "SA", design, better)}
@@ -488,10 +484,16 @@ def _balancing(study: Study, name: str, design: CoDesign) -> tuple[CoDesign, Sol
     if springs is None:
         return None
     held = design.with_fixed(design.hardware(springs))
+    best = _best_motion(study, name, held, "springs that balance the arm at rest")
+    return best and (held, best)
+
+
+def _best_motion(study: Study, name: str, held: CoDesign, springs: str) -> Solution | None:
+    """The best motion for springs that are held; None where none is found, which is said."""
     try:
-        return held, best_motion(held, study.options)
+        return best_motion(held, study.options)
     except SolverFailure as failure:
-        study.listener.show(f"{name}: no motion was found with springs that balance the arm at rest: {failure}")
+        study.listener.show(f"{name}: no motion was found with {springs}: {failure}")
         return None
 
 
@@ -534,53 +536,45 @@ def _solve(study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[s
     began = time.perf_counter()
     if study.request.price is not None:
         return _solve_priced(study, name, ways[0], began)
-    if study.single:
-        return _solve_one(study, name, ways, before, began)
-    design = _best_mounted(study, name, ways)
-    alone = _alone(study, name, design)
+    if len(ways) > 1:
+        study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
+    if not study.single:
+        design = _best_mounted(study, name, ways)
+        alone = _alone(study, name, design)
+        with study.listener.stages(name) as report:
+            result = solve_set(design, alone, study.options, report)
+        return _described(study, name, result, began)
     with study.listener.stages(name) as report:
-        result = solve_set(design, alone, study.options, report)
-    return _described(study, name, result, began)
+        result = _search(study, ways, before, report)
+        Progress(SHARES, report).tell("certificate", 0.0, f"best {result.total:.6g}")
+        return _described(study, name, result, began)
 
 
-def _solve_one(
-    study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration], began: float
-) -> Configuration:
-    """As `_solve`, for one task. The search also starts from what was found before for configurations with fewer springs, so that it
-    is not worse than these, and goes on in another way to mount the springs where these are cheaper."""
+def _search(
+    study: Study, ways: Sequence[SetDesign], before: Mapping[str, Configuration], report: Callable[[Step], None]
+) -> SetResult:
+    """The search of one task. It also starts from what was found before for configurations with fewer springs, so that it is not worse
+    than these, and goes on in another way to mount the springs where these are cheaper."""
     known: list[list[Guess]] = [[] for _ in ways]
     costs = np.full(len(ways), np.inf)  # of the cheapest of what is known in each way
     for other, solved in before.items():
         if other in study.designs and not solved.interrupted:
-            inner = _chosen(study.designs[other], solved).first
-            found = restored(inner, study.options, read_npz(kept_motion(study, other)))
+            inner, optimum = _saved_optimum(study, other, solved)
             for w, way in enumerate(ways):
-                if (guess := embedded(found, inner, way.first)) is not None:
+                if (guess := embedded(optimum, inner, way.first)) is not None:
                     known[w].append(guess)
                     costs[w] = min(costs[w], solved.cost)
-    _say_ways(study, name, ways)
-    with study.listener.stages(name) as report:
-        coarse = _on_coarse_mesh([way.first for way in ways], study.options, report, known)
+    designs, options = [way.first for way in ways], study.options
+    with _limits_told(designs[0].task):
+        coarse = coarse_search(designs, options, Progress(SHARES, report), known if len(ways) > 1 else ())
         best, cheapest = coarse.way, int(np.argmin(costs))
-        found = _search(study, ways[best].first, known[best], report, coarse)
+        found = solve_multistart(designs[best], options, known=known[best], report=report, coarse=coarse)
         if cheapest != best and costs[cheapest] < found.best.cost and not found.interrupted:
-            best, found = cheapest, _search(study, ways[cheapest].first, known[cheapest], report)
-        design = ways[best]
-        study.ctrl_c.asked |= found.interrupted
-        Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
-        described = _described(study, name, SetResult.of_one(design, found.best), began)
-    optima = [
-        {
-            "cost": o.cost,
-            "reached": o.reached,
-            "refined": len(o.meshes) > 1,
-            "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),
-            "springs": design.first.hardware(o.solution.parameters),
-        }
-        for o in found.optima
-    ]
-    more = {"optima": optima, "layers": layers(found.starts), "interrupted": found.interrupted, "covered": found.covered}
-    return typed(data(described) | more | {"wall_s": time.perf_counter() - began}, Configuration)
+            best = cheapest
+            found = solve_multistart(designs[best], options, known=known[best], report=report)
+    study.ctrl_c.asked |= found.interrupted
+    of_task = {"starts": found.starts, "optima": found.optima, "covered": found.covered, "interrupted": found.interrupted}
+    return replace(SetResult.apart(ways[best], [found.best]), **of_task)
 
 
 def _solve_priced(study: Study, name: str, offered: SetDesign, began: float) -> Configuration:
@@ -618,67 +612,40 @@ def _choice(study: Study, offered: SetDesign, found: SpringFront, price: float) 
     return {"price": price, "offered": places, "chosen": at, "solved": found.solved, "points": points}
 
 
-def _buy(study: Study, name: str, design: CoDesign) -> Configuration:
-    """A starred design of one task, from the saved optimum of its configuration; writes its motion."""
-    began = time.perf_counter()
-    start = restored(design, study.options, read_npz(kept_motion(study, name.rstrip("*"))))
-    assert study.shop is not None
-    with study.listener.count(name) as count:
-        bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
-    assert isinstance(bought.design, CoDesign)
-    result = SetResult.of_one(SetDesign(study.tasks, (bought.design,)), bought.optimum)
-    return _as_bought(_described(study, name, result, began, design), bought, bought.optimum.cost / start.cost - 1)
-
-
-def _buy_shared(study: Study, name: str, design: SetDesign, made: Configuration) -> Configuration:
-    """A starred design of several tasks, from what is made for them: the joint problem with hardware of the catalogue."""
+def _buy(study: Study, name: str, design: SetDesign, made: Configuration) -> Configuration:
+    """A starred design, from what is made for its tasks: the problem of all of them with hardware of the catalogue; writes its motions."""
     began, options = time.perf_counter(), study.options
     parameters, files = design.first.model.theta(made.parameters), files_of(name.rstrip("*"), len(design.designs))
-    pairs = zip(design.held(parameters), files, strict=True)
-    motions = [restored(one, options, read_npz(kept_motion(study, file))).guess() for one, file in pairs]
-    start = joint_optimum(design, design.guess(motions, parameters), options)
-    if start is None:
-        raise SolverFailure("the springs to be made led to no optimum on the first mesh", 0, 0.0, "")
-    few = replace(options, refinement=replace(options.refinement, rounds=0))  # meshes are refined task by task
+    saved = [read_npz(kept_motion(study, file)) for file in files]
+    if study.single:
+        start = restored(design.first, options, saved[0])
+    else:
+        motions = [restored(one, options, file).guess() for one, file in zip(design.held(parameters), saved, strict=True)]
+        joint = joint_optimum(design, design.guess(motions, parameters), options)
+        if joint is None:
+            raise SolverFailure("the springs to be made led to no optimum on the first mesh", 0, 0.0, "")
+        start = joint.solution
     assert study.shop is not None
     with study.listener.count(name) as count:
-        bought = search_catalogue(design, start.solution, study.shop, few, lambda done: count(done, "problems solved"))
-    assert isinstance(bought.design, SetDesign)
-    found = _described(study, name, solve_bought(bought.design, bought.optimum, options), began)
-    tasks = {
-        task: msgspec.structs.replace(moved, alone=own.alone, with_first=own.with_first, springs_alone=own.springs_alone)
-        for (task, moved), own in zip(found.tasks.items(), made.tasks.values(), strict=True)
-    }
-    found = msgspec.structs.replace(found, tasks=tasks, alone=made.alone, with_first=made.with_first)
-    return _as_bought(found, bought, found.cost / made.cost - 1)
-
-
-def _as_bought(found: Configuration, bought: CatalogueResult, gap: float) -> Configuration:
-    """An entry with how its hardware was searched, and the relative cost of buying it instead of making it."""
-    catalogue = data(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up}
+        bought = search_catalogue(design, start, study.shop, options, lambda done: count(done, "problems solved"))
+    found = _described(study, name, solve_bought(bought.design, bought.optimum, options), began, design.first)
+    if not study.single:  # compared with the same as what is made
+        tasks = {
+            task: msgspec.structs.replace(moved, alone=own.alone, with_first=own.with_first, springs_alone=own.springs_alone)
+            for (task, moved), own in zip(found.tasks.items(), made.tasks.values(), strict=True)
+        }
+        found = msgspec.structs.replace(found, tasks=tasks, alone=made.alone, with_first=made.with_first)
+    catalogue = data(bought.coverage) | {"gap": found.cost / made.cost - 1, "runners_up": bought.runners_up}
     return typed(data(found) | {"catalogue": catalogue}, Configuration)
 
 
-def _on_coarse_mesh(
-    ways: Sequence[CoDesign],
-    options: SearchOptions,
-    report: Callable[[Step], None],
-    known: Sequence[Sequence[Guess]] = (),
-) -> Coarse:
-    """The search of a task on the coarse mesh, over all ways to mount the springs."""
+@contextmanager
+def _limits_told(task: Task) -> Iterator[None]:
+    """Raises `UserError` with the task's limits where no motion is found."""
     try:
-        return coarse_search(ways, options, Progress(SHARES, report), known if len(ways) > 1 else ())
+        yield
     except SolverFailure as failure:
-        raise _no_motion(ways[0].task, failure) from None
-
-
-def _search(
-    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse | None = None
-) -> SearchResult:
-    try:
-        return solve_multistart(design, study.options, known=known, report=report, coarse=coarse)
-    except SolverFailure as failure:
-        raise _no_motion(design.task, failure) from None
+        raise _no_motion(task, failure) from None
 
 
 def _no_motion(task: Task, failure: SolverFailure) -> UserError:
@@ -695,20 +662,14 @@ def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     )
 
 
-def _say_ways(study: Study, name: str, ways: Sequence[SetDesign]) -> None:
-    if len(ways) > 1:
-        study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
-
-
 def _best_mounted(study: Study, name: str, ways: Sequence[SetDesign]) -> SetDesign:
     """Of ways to mount the springs the one in which the tasks alone cost least."""
     if len(ways) == 1:
         return ways[0]
-    _say_ways(study, name, ways)
     costs = []
     for t, task in enumerate(study.tasks.tasks):
-        with study.listener.stages(f"{name} mounting, task {task.name}") as report:
-            costs.append(_on_coarse_mesh([way.designs[t] for way in ways], study.options, report).costs)
+        with study.listener.stages(f"{name} mounting, task {task.name}") as report, _limits_told(task):
+            costs.append(coarse_search([way.designs[t] for way in ways], study.options, Progress(SHARES, report)).costs)
     return ways[int(np.argmin([way.total(of_way) for way, of_way in zip(ways, zip(*costs, strict=True), strict=True)]))]
 
 
@@ -720,8 +681,6 @@ def _alone(study: Study, name: str, design: SetDesign) -> list[Optimum]:
         count(len(names) - len(open_), "tasks alone")
         calls = [(t, design.designs[t], study.options) for t in open_]
         for done, (t, optimum) in enumerate(unordered(_search_alone, calls), len(names) - len(open_) + 1):
-            if isinstance(optimum, SolverFailure):
-                raise _no_motion(design.designs[t].task, optimum)
             multipliers = {"lam_g": optimum.solution.lam_g, "lam_w": optimum.solution.lam_w}
             write_npz(kept_motion(study, names[t]), restart_arrays(optimum.solution) | multipliers)
             save(study, names[t], plain({"meshes": optimum.meshes}), [names[t]])
@@ -729,11 +688,9 @@ def _alone(study: Study, name: str, design: SetDesign) -> list[Optimum]:
     return [_restored(study, one, own) for one, own in zip(names, design.designs, strict=True)]
 
 
-def _search_alone(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, Optimum | SolverFailure]:
-    try:
+def _search_alone(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, Optimum]:
+    with _limits_told(design.task):
         return task, solve_multistart(design, options).whole().best
-    except SolverFailure as failure:
-        return task, failure
 
 
 def _restored(study: Study, name: str, design: CoDesign) -> Optimum:
@@ -761,7 +718,6 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         others = {"alone": result.alone[t].cost, "with_first": result.first[t].cost, "springs_alone": own}
         tasks[study.tasks.tasks[t].name] = moved | others
     leaning = study.request.front and design.sprung and not name.endswith("*")
-    points = front(result, study.options, study.request.front) if leaning else []
     found = {
         "cost": result.total,
         "alone": design.total([o.cost for o in result.alone]),
@@ -772,11 +728,25 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         "parts": parts(design.first, parameters, _turned([*tasks.values()])),
         "tasks": tasks,
         "layers": layers(result.starts),
+        "optima": [_optimum(design.first, o) for o in result.optima],
+        "covered": result.covered,
+        "interrupted": result.interrupted,
         "change": result.change,
-        "front": [{"share": p.share, "first": p.costs[0], "total": p.total, "springs": p.springs} for p in points],
+        "front": front(result, study.options, study.request.front) if leaning else [],
         "wall_s": time.perf_counter() - began,
     }
     return typed(found, Configuration)
+
+
+def _optimum(design: CoDesign, optimum: Optimum) -> dict[str, Any]:
+    """The entry of a local optimum."""
+    return {
+        "cost": optimum.cost,
+        "reached": optimum.reached,
+        "refined": len(optimum.meshes) > 1,
+        "durations": dict(zip(PHASES, optimum.solution.durations.tolist(), strict=True)),
+        "springs": design.hardware(optimum.solution.parameters),
+    }
 
 
 def _turned(tasks: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, float]]:
@@ -847,10 +817,5 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
 def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str, float]) -> dict[str, float | None]:
     """The cost of published springs on this model, motion and durations re-optimised; None where there are none, or no motion is
     found."""
-    if not hardware:
-        return {"cost": None}
-    try:
-        return {"cost": best_motion(design.with_fixed(hardware), study.options).cost}
-    except SolverFailure as failure:
-        study.listener.show(f"{name}: no motion was found with the published springs: {failure}")
-        return {"cost": None}
+    best = _best_motion(study, name, design.with_fixed(hardware), "the published springs") if hardware else None
+    return {"cost": best and best.cost}

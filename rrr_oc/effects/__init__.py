@@ -28,7 +28,7 @@ from rrr_oc.effects.capabilities import (
     SpringChange,
     WithStates,
 )
-from rrr_oc.effects.springs import Clutched, DesignSpring, LinkSpring, ListedSpring
+from rrr_oc.effects.springs import Clutched, DesignSpring, LinkSpring, ListedSpring, Wound
 from rrr_oc.errors import UserError
 
 CATALOGUE: dict[str, type[Effect]] = {}
@@ -114,6 +114,7 @@ __all__ = [
     "Trial",
     "View",
     "WithStates",
+    "Wound",
     "design_forms",
     "listed_springs",
     "plain_effects",

@@ -31,6 +31,16 @@ class Quantity:
     free: bool = False
 
 
+def about_a_joint(rate: str, rest: str) -> tuple[Quantity, Quantity]:
+    """Rate and equilibrium of a spring about a joint, by these symbols."""
+    return Quantity(rate, "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0), angle(rest, "equilibrium_deg")
+
+
+def angle(symbol: str, key: str) -> Quantity:
+    """An angle that is adjusted."""
+    return Quantity(symbol, key, "rad", np.pi / 180, free=True)
+
+
 @dataclass(frozen=True)
 class Axis:
     """Where a spring of a design sits, and what it does there.
@@ -38,7 +48,7 @@ class Axis:
     Attributes:
         rate: Its rate about this axis [Nm/rad].
         slack: Angle of this axis where its torque is zero [rad].
-        ratio: Its turn there over its deflection (`DesignSpring.stretch`) [1].
+        ratio: Its turn there over its deflection (`Elastic.stretch`) [1].
         radius: Of the pulley from which its cable goes on [m]; None where the axis is its joint's.
     """
 

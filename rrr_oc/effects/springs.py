@@ -7,33 +7,68 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Signals
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
+from rrr_oc.numerics.smooth import ramp, ramp_integral
 
 PHASES = ("go", "return")  # of a task
+BEYOND = 1e6  # [rad] length of a tendon that none reaches
 
 
-def two_sided_tendon(spec: Any, name: str, joint: str, stiffness: float, rest: float, hardening: float = 0.0) -> None:
-    """Add a spring to a `mujoco.MjSpec` that pulls a joint towards `rest` [rad] from both sides, with a stiffness [Nm/rad].
+class Elastic(NativeTwin):
+    """What pulls its joints back, with the torque lever × rate × pull, from a stretch that each joint's angle shortens by its lever.
 
-    Args:
-        hardening: Torque by the third power of the distance [Nm/rad³].
+    pull = max(stretch, 0) where it goes slack, else the stretch; the rate [Nm/rad] is the first of its amplitudes.
     """
-    tendon = spec.add_tendon(name=f"{name}_{joint}")
-    tendon.wrap_joint(joint, 1.0)
-    tendon.stiffness = [stiffness, 0.0, hardening]
-    tendon.springlength = [rest, rest]
+
+    goes_slack: ClassVar[bool] = True
+
+    def stretch(self, signals: Signals, theta: Mapping[str, Any]) -> Any:
+        """How far it is deflected from its equilibrium [rad], as seen from the first of its joints; negative where it is slack."""
+        raise NotImplementedError
+
+    def lever(self, theta: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Derivative of the stretch by the position of each of `joints`, with the other sign."""
+        return (1.0,)
+
+    def torque(self, signals, theta, width):
+        stretch = self.stretch(signals, theta)
+        pull = theta[self.amplitudes[0]] * (ramp(stretch, width) if self.goes_slack else stretch)
+        return tuple(lever * pull for lever in self.lever(theta))
+
+    def energy(self, signals, theta, width):
+        stretch = self.stretch(signals, theta)
+        return theta[self.amplitudes[0]] * (ramp_integral(stretch, width) if self.goes_slack else stretch**2 / 2)
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon whose length is the sum of lever × angle; its spring is slack above the length at which the stretch is 0, or
+        nowhere. Several springs of a joint add up."""
+        names = [joints[j] for j in self.joints]
+        tendon = spec.add_tendon(name="_".join([self.name, *names]))
+        for name, lever in zip(names, self.lever(theta), strict=True):
+            tendon.wrap_joint(name, lever)
+        rest = self.stretch(Signals(dict.fromkeys(self.joints, 0.0)), theta)
+        tendon.stiffness = [theta[self.amplitudes[0]], 0.0, theta.get("hardening", 0.0)]
+        tendon.springlength = [rest, BEYOND if self.goes_slack else rest]
 
 
+@dataclass(frozen=True)
 class LinkSpring(Effect):
-    """A spring across one joint or more, beside their drives."""
+    """A spring across one joint or more, beside their drives; raises `UserError` for joints or options that are none."""
 
     provides = "springs"
     scope = "mounted"
 
-    def lever(self, theta: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Derivative of the spring's stretch by the position of each of `joints`, up to a common sign."""
-        return (1.0,) * len(self.joints)
+    def __post_init__(self) -> None:
+        if self.placement == "pair" and (len(self.joints) != 2 or self.joints[0] == self.joints[1]):
+            raise UserError(f"{self.name} spans two different joints, got {self.joints}")
+        for key, allowed in self.options.items():
+            value, default = getattr(self, key), getattr(type(self), key)
+            several = isinstance(default, tuple)
+            if (several and len(value) != len(default)) or any(v not in allowed for v in (value if several else (value,))):
+                of = f"{len(default)} of " * several
+                raise UserError(f"{self.name}: {key} is {of}{' or '.join(map(repr, allowed))}, got {value!r}")
 
     def moved(self, theta: Mapping[str, Any], offset: Any) -> dict[str, Any]:
         """Parameters of the spring with its equilibrium moved by an offset [rad]; by default the parameter `equilibrium`."""
@@ -78,11 +113,6 @@ class DesignSpring(Effect):
 
     design: ClassVar[DesignForm]
 
-    def stretch(self, signals: Signals, theta: Mapping[str, Any]) -> Any:
-        """How far a helical spring is deflected from its equilibrium [rad], negative where it is slack; None for springs that are made
-        otherwise. Its torque on the first of its joints is its amplitude times that."""
-        return None
-
     def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
 
@@ -95,8 +125,12 @@ class DesignSpring(Effect):
         return -np.inf, np.inf
 
 
+class Wound(Elastic, LinkSpring, DesignSpring):
+    """A helical spring of a co-design, which is worked out as a part."""
+
+
 @dataclass(frozen=True)
-class Clutched(DesignSpring):
+class Clutched(LinkSpring, DesignSpring):
     """A spring that a clutch connects in one phase of a task alone. Models know no phases: in the other its amplitudes are zero.
 
     Attributes:
@@ -106,10 +140,6 @@ class Clutched(DesignSpring):
     options = {"phase": PHASES}  # noqa: RUF012
 
     phase: Literal["go", "return"] = "go"
-
-    def __post_init__(self) -> None:
-        if self.phase not in PHASES:
-            raise UserError(f"a clutched spring works in the phase {' or '.join(map(repr, PHASES))}, got {self.phase!r}")
 
     def kept_energy(
         self, lower: np.ndarray, upper: np.ndarray, ends: tuple[np.ndarray, np.ndarray]

@@ -80,6 +80,11 @@ class Solution:
     iterations: int
     seconds: float
 
+    @classmethod
+    def bare(cls, transcription: Transcription, w: np.ndarray, cost: float = 0.0) -> "Solution":
+        """One of which scaled variables and cost are known, without multipliers."""
+        return cls(transcription, w, np.empty(0), np.empty(0), cost, "", 0, 0.0)
+
     @property
     def problem(self) -> Problem:
         """The problem that was solved."""

@@ -153,8 +153,8 @@ def test_the_best_optimum_is_one_that_was_refined(monkeypatch):
     """A finer mesh may make the best one worse than another, which was too far away to be refined until then."""
     finer = {1.0: 1.05, 1.02: 1.03, 1.2: 1.1}
 
-    def refined(_, __, optima):
-        return [SimpleNamespace(cost=finer[o.cost], meshes=[{}, {"converged": True}]) for o in optima]
+    def refined(calls):
+        return [SimpleNamespace(cost=finer[o.cost], meshes=[{}, {"converged": True}]) for _, _, o in calls]
 
     monkeypatch.setattr(multistart, "refined", refined)
     monkeypatch.setattr(multistart, "distinct", lambda optima: sorted(optima, key=lambda o: o.cost))

@@ -40,7 +40,7 @@ def shop(result: SearchResult, parallel=None, biarticular=None, **options) -> Ca
         Catalogue("tiny", {"PEA": parallel or {}, "BPEA": biarticular or {}}),
         options.pop("settings", OPTIONS),
     )
-    return search_catalogue(result.design, result.best.solution, catalogue, settings, **options)
+    return search_catalogue(SetDesign.of_one(result.design), result.best.solution, catalogue, settings, **options)
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_no_excluded_choice_is_better(pea):
 def test_a_search_that_is_not_let_finish_says_what_is_left(pea, monkeypatch):
     monkeypatch.setattr(purchasable, "MOST", 5)
     monkeypatch.setattr(purchasable, "BATCH", 1)
-    cover = search_catalogue(pea.design, pea.best.solution, load_catalogue(), OPTIONS).coverage
+    cover = search_catalogue(SetDesign.of_one(pea.design), pea.best.solution, load_catalogue(), OPTIONS).coverage
     assert cover.solved == 5
     assert cover.left == 51 - cover.single > 0
     assert cover.excluded == 0
@@ -161,7 +161,7 @@ def test_a_search_without_a_solution_fails(pea, monkeypatch):
 
 def test_halves_share_nothing_and_lose_nothing(bpea):
     """Down to single choices, whatever the optimum; with a parameter between two sizes, they end up on different sides."""
-    choices, rng = choices_of(bpea.design, load_catalogue()), np.random.default_rng(0)
+    choices, rng = choices_of(SetDesign.of_one(bpea.design), load_catalogue()), np.random.default_rng(0)
     parts, seen = [choices.every], []
     while parts and len(seen) < 200:
         (kinds,) = parts.pop()

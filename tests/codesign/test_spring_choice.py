@@ -94,10 +94,10 @@ def test_the_objective_on_held_motions_has_its_gradient(design, front):
     """By central differences, and its value is the point's own."""
     point = front[0].points[-1]
     held = _Search(design, OPTIONS).held(point.parameters, point.motions)
-    assert held.cost(point.parameters)[0] == pytest.approx(point.total, rel=1e-6)
+    assert held(point.parameters)[0] == pytest.approx(point.total, rel=1e-6)
     p = 0.5 * point.parameters + 0.2
-    slope, step = held.cost(p)[1], 1e-5
-    differences = [(held.cost(p + step * e)[0] - held.cost(p - step * e)[0]) / (2 * step) for e in np.eye(p.size)]
+    slope, step = held(p)[1], 1e-5
+    differences = [(held(p + step * e)[0] - held(p - step * e)[0]) / (2 * step) for e in np.eye(p.size)]
     np.testing.assert_allclose(slope, differences, rtol=1e-4, atol=1e-3)
 
 

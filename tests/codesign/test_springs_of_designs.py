@@ -589,11 +589,11 @@ def test_tasks_that_are_turned_away(name, springs, message):
 
 
 def test_a_side_that_is_none_is_turned_away():
-    with pytest.raises(UserError, match="'below' or 'above' its equilibrium, got 'left'"):
+    with pytest.raises(UserError, match="active is 'below' or 'above', got 'left'"):
         PulleySpring((0,), "left")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(UserError, match="mounted 'as listed' or 'mirrored', got 'left'"):
+    with pytest.raises(UserError, match="mounting is 'as listed' or 'mirrored', got 'left'"):
         TableSpring((0,), "left")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(UserError, match="works in the phase 'go' or 'return', got 'pick'"):
+    with pytest.raises(UserError, match="phase is 'go' or 'return', got 'pick'"):
         ClutchedSpring((0,), "pick")  # pyright: ignore[reportArgumentType]
 
 

@@ -287,10 +287,10 @@ def test_torques_of_several_springs_add_up_in_a_model():
         (lambda: BiarticularSpring((1,)), "two different joints"),
         (lambda: BiarticularSpring((1, 1)), "two different joints"),
         (lambda: TwoSidedBiarticularSpring((1, 1)), r"two different joints, got \(1, 1\)"),
-        (lambda: BiarticularSpring((0, 1), (1, 0)), r"pair of \+1 or -1, got \(1, 0\)"),
-        (lambda: BiarticularSpring((0, 1), (1,)), r"pair of \+1 or -1"),  # pyright: ignore[reportArgumentType]
+        (lambda: BiarticularSpring((0, 1), (1, 0)), r"winding is 2 of 1 or -1, got \(1, 0\)"),
+        (lambda: BiarticularSpring((0, 1), (1,)), r"winding is 2 of 1 or -1"),  # pyright: ignore[reportArgumentType]
         (lambda: LoadDependentFriction((0,), "gear"), "follows load, motor, motor without friction, got 'gear'"),  # pyright: ignore[reportArgumentType]
-        (lambda: ParallelSpring((0,), "left"), "'below' or 'above' its equilibrium, got 'left'"),  # pyright: ignore[reportArgumentType]
+        (lambda: ParallelSpring((0,), "left"), "active is 'below' or 'above', got 'left'"),  # pyright: ignore[reportArgumentType]
     ],
 )
 def test_springs_that_are_turned_away(make, message):

@@ -90,7 +90,7 @@ def test_the_torque_of_a_motion_is_that_of_the_laws(case):
 )
 def test_a_changed_spring_is_one_tendon_with_its_true_numbers(effects, theta, tendons):
     _, mj = exported(effects, theta)
-    found = list(zip(mj.tendon_stiffness, -mj.tendon_lengthspring[:, 1], strict=True))
+    found = list(zip(mj.tendon_stiffness, mj.tendon_lengthspring[:, 0], strict=True))
     np.testing.assert_allclose(np.array(found).reshape(-1), np.array(tendons).reshape(-1))
 
 

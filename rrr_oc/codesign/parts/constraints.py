@@ -9,7 +9,7 @@ import numpy as np
 
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.springs import SpringBounds
-from rrr_oc.effects import DesignSpring
+from rrr_oc.effects import Wound
 from rrr_oc.effects.base import Signals
 
 
@@ -35,9 +35,9 @@ def limited(
 ) -> list[Limited]:
     """What the limits bound of a spring at positions and parameters, numbers or casadi's; nothing of one that no limit is for."""
     effect = spring.effect
-    stretch = effect.stretch(signals, theta) if isinstance(effect, DesignSpring) and not spring.known else None
-    if stretch is None:
+    if spring.known or not isinstance(effect, Wound):
         return []
+    stretch = effect.stretch(signals, theta)
     amplitude, cable = theta[effect.amplitudes[0]], spring.form.inverse_radii([*theta.values()], spring.hardware, spring.fixed)
     turn = None if limits.turn_deg is None else float(np.radians(limits.turn_deg))
     bounded = [("torque", amplitude * stretch, limits.torque_Nm, "Nm"), ("turn", stretch, turn, "rad")] * (not cable)

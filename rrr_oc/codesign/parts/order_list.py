@@ -79,7 +79,7 @@ def order_list(axes: Mapping[str, Axis], turns: Mapping[str, tuple[float, float]
 
     Args:
         axes: Where each spring sits, by its label.
-        turns: Least and greatest deflection of each in use, as in `DesignSpring.stretch` [rad].
+        turns: Least and greatest deflection of each in use, as in `Elastic.stretch` [rad].
     """
     found = []
     for label, axis in axes.items():

@@ -9,7 +9,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.posterior.members import Member, moved
-from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.springs import SpringBounds, each
 from rrr_oc.codesign.transfer import repaired
 
 Over = Literal["calibrated", "mean", "worst"]
@@ -93,11 +93,9 @@ def _absent(spring: SpringBounds) -> SpringBounds:
 
 def _scenario(says: str, arm: CoDesign, whole: CoDesign) -> Scenario:
     """An arm as a scenario of the design that has the effects of all."""
-    own, at, theta = {s.effect: s for s in arm.springs if s.known}, 0, []
-    for spring in whole.springs:
-        size = len(spring.effect.parameters)
-        values = own.get(spring.effect, _absent(spring)).lower if spring.known else ()
-        theta += [(at + i, float(value)) for i, value in enumerate(values)]
-        at += size
+    own, theta = {s.effect: s for s in arm.springs if s.known}, []
+    for spring, at in each(whole.springs, range(len(whole.model.parameters))):
+        if spring.known:
+            theta += zip(at.values(), own.get(spring.effect, _absent(spring)).lower.tolist(), strict=True)
     payload = arm.task.payload / whole.task.payload if whole.task.payload else 1.0
     return Scenario(payload, tuple(theta), arm.task.robot.inertial, says)

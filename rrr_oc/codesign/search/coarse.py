@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.local_optima import Optimum, distinct, follow_to_fine_mesh, moving_apart, same_motion, transcribed
+from rrr_oc.codesign.search.local_optima import Optimum, distinct, followed, moving_apart, same_motion, transcribed
 from rrr_oc.codesign.search.motions import LEAST_GAIN, MotionSearch, combined
-from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, decode, dimensions, motion_guess, sobol_points
+from rrr_oc.codesign.search.proposals import SearchOptions, decode, dimensions, motion_guess, sobol_points
 from rrr_oc.codesign.search.spring_fits import HeldMotion, fitted_springs
 from rrr_oc.codesign.search.starts import Polisher, Start, all_starts, polish, sobol_starts
 from rrr_oc.codesign.task import PHASES
@@ -47,7 +47,7 @@ class Coarse:
 
     way: int
     costs: tuple[float, ...]
-    polisher: Polisher
+    polisher: Polisher[CoDesign]
     search: MotionSearch | None
     optima: tuple[Optimum, ...]
     starts: tuple[Start, ...]
@@ -85,7 +85,7 @@ def coarse_search(
                 some.append(start)
                 polished(start)
                 every = [s for one in starts for s in one]
-                progress.count("starts", len(every), total, _coarse_cost(every), "starts")
+                progress.count("starts", len(every), total, coarse_cost(every), "starts")
         for polisher, some, guesses in zip(polishers, starts, known or [()] * len(ways), strict=True):
             some += ordered(polish, [polisher.call(guess, "known") for guess in guesses])
     except KeyboardInterrupt:
@@ -93,7 +93,7 @@ def coarse_search(
     every = [s for some in starts for s in some]
     if not any(s.w.size for s in every):
         _raise_failure(ways[0], options, every)
-    optima = [_distinct_starts(*pair) for pair in zip(polishers, starts, strict=True)]
+    optima = [polisher.optima(some) for polisher, some in zip(polishers, starts, strict=True)]
     try:
         if not interrupted and options.motions:
             searches = [MotionSearch(design, options) for design in ways]
@@ -115,21 +115,15 @@ def _costs(ways: Sequence[CoDesign], options: SearchOptions, optima: Sequence[Se
     misjudges by a multiple what costs next to nothing; as on the coarse mesh where none is found on the fine one."""
     every = sorted(((o, w) for w, some in enumerate(optima) for o in some), key=lambda pair: pair[0].cost)
     chosen = [pair for i, pair in enumerate(every) if i < options.kept or pair[0] is optima[pair[1]][0]]
-    followed = ordered(follow_to_fine_mesh, [(ways[w], options, o.solution.guess()) for o, w in chosen])
+    ends = followed([(ways[w], options, o.solution.guess()) for o, w in chosen])
     costs = np.full(len(ways), np.inf)
-    for (_, w), found in zip(chosen, followed, strict=True):
+    for (_, w), found in zip(chosen, ends, strict=True):
         costs[w] = min(costs[w], np.inf if found is None else found.cost)
     return costs.tolist() if np.isfinite(costs).any() else [_least(some) for some in optima]
 
 
 def _least(optima: Sequence[Optimum]) -> float:
     return optima[0].cost if optima else float("inf")
-
-
-def _distinct_starts(polisher: Polisher, starts: Sequence[Start]) -> list[Optimum]:
-    """The distinct optima to which starts led, cheapest first, and how many of the Sobol points led to each."""
-    found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    return distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
 
 
 def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]) -> None:
@@ -140,14 +134,14 @@ def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]
     Solver(transcribed(design, options, options.coarse)).solve(middle, design.data(options.width))
 
 
-def _coarse_cost(starts: Sequence[Start]) -> str:
+def coarse_cost(starts: Sequence[Start]) -> str:
     """The least cost so far, which a coarse mesh misjudges."""
     best = min(s.polished for s in starts)
     return f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else "none within the limits so far"
 
 
 def _add_better_springs(
-    polishers: Sequence[Polisher], searches: Sequence[MotionSearch], optima: list[list[Optimum]], progress: Progress
+    polishers: Sequence[Polisher[CoDesign]], searches: Sequence[MotionSearch], optima: list[list[Optimum]], progress: Progress
 ) -> None:
     """Add to the optima of each way to mount the springs those to which good motions for their springs lead, and good springs for these.
 
@@ -191,7 +185,7 @@ def _add_better_springs(
         idle = 0 if min((o.cost for o in found), default=best) < best * (1 - LEAST_GAIN) else idle + 1
 
 
-def _fitted(polishers: Sequence[Polisher], springs: Sequence["Springs"], guess: Guess) -> list[tuple[int, Guess]]:
+def _fitted(polishers: Sequence[Polisher[CoDesign]], springs: Sequence["Springs"], guess: Guess) -> list[tuple[int, Guess]]:
     """A guess's motion with the different springs that leave the least torque along it, of any way to mount them; none where springs
     stand between drives and links, or none is free."""
     design = polishers[0].design

@@ -8,14 +8,13 @@ import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
-from rrr_oc.codesign.search.local_optima import Optimum, attached, follow_to_fine_mesh, refined_alone
+from rrr_oc.codesign.search.local_optima import Optimum, followed, refined
 from rrr_oc.codesign.search.multistart import continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.search.spring_fits import HeldMotion, fitted_springs
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
 from rrr_oc.optimal_control.solver import Solution
-from rrr_oc.parallel import ordered
 
 POSTURES = 41  # on the way, in which springs balance the arm; doubled, nothing changes
 TRIED = 32  # springs from which the balance is sought; doubled, slower and surer
@@ -73,7 +72,7 @@ def at_cycle_times(
 
     def tried(time: float, guesses: Sequence[Guess], widths: SearchOptions) -> None:
         calls = [(_taking(design, time), widths, guess) for guess in guesses]
-        some = [o for o in (found.get(time), *ordered(follow_to_fine_mesh, calls)) if o is not None]
+        some = [o for o in (found.get(time), *followed(calls)) if o is not None]
         if some:
             found[time] = min(some, key=lambda o: o.cost)
 
@@ -91,8 +90,7 @@ def at_cycle_times(
             if before in found:
                 tried(time, stretched(design, found[before].solution, time)[:1], options.narrow)
     calls = [(_taking(design, time), options, o) for time, o in found.items()]
-    refined = zip(found, calls, ordered(refined_alone, calls), strict=True)
-    result = {time: attached(one, options, o).solution for time, (one, _, _), o in refined}
+    result = {time: o.solution for time, o in zip(found, refined(calls), strict=True)}
     return result | ({own: solution} if own in times else {})
 
 

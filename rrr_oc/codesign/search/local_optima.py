@@ -1,42 +1,24 @@
 """Local optima of a co-design: followed from the coarse to the fine mesh, compared, and refined."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.optimality import Kkt
-from rrr_oc.optimal_control.problem import Guess, Problem
+from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import mesh_row, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered
 
+Solvable = CoDesign | SetDesign  # springs and motion of one task, or of several
 SOLVED = "Solve_Succeeded"
 ACCEPTED = (SOLVED, "Solved_To_Acceptable_Level")  # statuses of an optimum that is refined later
-
-
-class Solvable(Protocol):
-    """Springs and motion as an optimal-control problem: of one task (`CoDesign`) or of several."""
-
-    @cached_property
-    def problem(self) -> Problem:
-        """The problem, whose parameters are the springs'."""
-        ...
-
-    @property
-    def springs(self) -> tuple[SpringBounds, ...]:
-        """The springs, with their bounds."""
-        ...
-
-    def data(self, width: float | None = None) -> np.ndarray:
-        """Values of the problem's data, all smoothing widths [rad] set to `width` if given."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +116,11 @@ def follow_to_fine_mesh(design: Solvable, options: SearchOptions, guess: Guess) 
     return Optimum(followed, [mesh_row(followed)])
 
 
+def followed(calls: Sequence[tuple[Solvable, SearchOptions, Guess]]) -> list[Optimum | None]:
+    """As `follow_to_fine_mesh`, in parallel."""
+    return [o and attached(*call[:2], o) for call, o in zip(calls, ordered(follow_to_fine_mesh, calls), strict=True)]
+
+
 def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:
     """Where the curvature is negative along some direction, go both ways along it and solve again."""
     for _ in range(rounds):
@@ -150,14 +137,12 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
     return solution
 
 
-def refined(design: Solvable, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
+def refined(calls: Sequence[tuple[Solvable, SearchOptions, Optimum]]) -> list[Optimum]:
     """Optima refined to the mesh tolerance, in parallel; one that is lost on a finer mesh stays as it was, with its error."""
-    found = ordered(refined_alone, [(design, options, o) for o in optima])
-    return [attached(design, options, o) for o in found]
+    return [attached(*call[:2], o) for call, o in zip(calls, ordered(_refined, calls), strict=True)]
 
 
-def refined_alone(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
-    """An optimum refined to the mesh tolerance, with the problem of this process; one that is lost on a finer mesh as it was."""
+def _refined(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
     try:
         solution, rows = refine(attached(design, options, optimum).solution, options.refinement)
         left = leave_saddle(Solver(solution.transcription, Options(barrier=1e-6)), solution)

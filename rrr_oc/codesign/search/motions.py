@@ -55,7 +55,7 @@ class ChainSolver:
 
     def solution(self, mesh: int, chain: int, cost: float, w: np.ndarray) -> Solution:
         """An optimum without multipliers, of its cost and scaled variables."""
-        return Solution(self.solvers[chain][mesh].transcription, w, np.empty(0), np.empty(0), cost, SOLVED, 0, 0.0)
+        return Solution.bare(self.solvers[chain][mesh].transcription, w, cost)
 
 
 class Covered(Struct, frozen=True, forbid_unknown_fields=True):

@@ -8,9 +8,8 @@ from rrr_oc.codesign.search.coarse import Coarse, Springs, coarse_search
 from rrr_oc.codesign.search.local_optima import (
     Optimum,
     Solvable,
-    attached,
     distinct,
-    follow_to_fine_mesh,
+    followed,
     moving_apart,
     refined,
 )
@@ -19,7 +18,6 @@ from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.search.starts import Start
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import SolverFailure
-from rrr_oc.parallel import ordered
 from rrr_oc.progress import Progress, Step
 
 SPRINGS = 3  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
@@ -102,12 +100,11 @@ def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptio
     Returns:
         (index of the start, optimum), cheapest first; starts from which IPOPT found no optimum are missing.
     """
-    followed = ordered(follow_to_fine_mesh, [(design, options, guess) for design, guess in starts])
-    found = [(i, attached(starts[i][0], options, o)) for i, o in enumerate(followed) if o is not None]
-    found.sort(key=lambda pair: pair[1].cost)
+    ends = followed([(design, options, guess) for design, guess in starts])
+    found = sorted(((i, o) for i, o in enumerate(ends) if o is not None), key=lambda pair: pair[1].cost)
     if found:
         index, optimum = found[0]
-        found[0] = index, refined(starts[index][0], options, [optimum])[0]
+        found[0] = index, refined([(starts[index][0], options, optimum)])[0]
     return found
 
 
@@ -151,7 +148,7 @@ def _refined_close(
         close = [o.cost <= optima[0].cost * (1 + within) and not _fine(o, rounds) for o in optima]
         if not any(close):
             break
-        new = refined(design, some, [o for o, is_close in zip(optima, close, strict=True) if is_close])
+        new = refined([(design, some, o) for o, is_close in zip(optima, close, strict=True) if is_close])
         optima = distinct([*new, *(o for o, is_close in zip(optima, close, strict=True) if not is_close)])
     return optima
 
@@ -169,8 +166,8 @@ def _promising(optima: Sequence[Optimum]) -> list[Optimum]:
 def _followed(design: CoDesign, options: SearchOptions, guesses: Sequence[Guess], reached: Sequence[int] = ()) -> list[Optimum]:
     """The distinct optima on the fine mesh near guesses, the first of which so many starts have reached."""
     counts = [*reached, *[0] * (len(guesses) - len(reached))]
-    found = zip(ordered(follow_to_fine_mesh, [(design, options, guess) for guess in guesses]), counts, strict=True)
-    return distinct(replace(attached(design, options, o), reached=count) for o, count in found if o is not None)
+    found = zip(followed([(design, options, guess) for guess in guesses]), counts, strict=True)
+    return distinct(replace(o, reached=count) for o, count in found if o is not None)
 
 
 def _with_best_motions(search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:

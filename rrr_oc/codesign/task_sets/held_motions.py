@@ -1,14 +1,10 @@
-"""The objective of a set of tasks on held motions, as a function of the springs alone."""
-
-from collections.abc import Sequence
+"""The cost of a task on a held motion, as a function of the springs alone."""
 
 import casadi as ca
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.local_optima import SOLVED
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.solver import Solution
 from rrr_oc.optimal_control.transcription import Transcription
 
@@ -40,8 +36,8 @@ class SpringCost:
     def along(self, w: np.ndarray, parameters: np.ndarray) -> Along:
         """A motion (scaled variables) at all stages, for each phase: (q, dq, ddq, payload, need), each with one column a stage, and
         the weights of the quadrature [s]. Of the parameters (np,) only those of known effects matter."""
-        empty, t = np.empty(0), self.transcription
-        solution, m = Solution(t, w, empty, empty, 0.0, SOLVED, 0, 0.0), len(self.design.task.moving)
+        t, m = self.transcription, len(self.design.task.moving)
+        solution = Solution.bare(t, w)
         phases = []
         for i, (block, fractions) in enumerate(zip(t.blocks, t.mesh, strict=True)):
             x = solution.values[block.stage_x].reshape(len(block.stage_x), -1)
@@ -59,28 +55,4 @@ class SpringCost:
             value, gradient = rate(*columns, parameters, self.widths)
             total += float(np.array(value).ravel() @ weights)
             slope += np.array(gradient) @ weights
-        return total, slope
-
-
-class HeldMotions:
-    """The objective on some motions.
-
-    Args:
-        costs: Of each task (T).
-        motions: Scaled variables of each task (T).
-        parameters: (np,); see `SpringCost.along`.
-    """
-
-    def __init__(
-        self, design: SetDesign, costs: Sequence[SpringCost], motions: Sequence[np.ndarray], parameters: np.ndarray
-    ) -> None:
-        self._weights, self._costs = design.tasks.weights, costs
-        self._along = [cost.along(w, parameters) for cost, w in zip(costs, motions, strict=True)]
-
-    def cost(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        """The objective and its gradient by the parameters (np,)."""
-        total, slope = 0.0, np.zeros(len(parameters))
-        for weight, cost, along in zip(self._weights, self._costs, self._along, strict=True):
-            value, gradient = cost(along, parameters)
-            total, slope = total + weight * value, slope + weight * gradient
         return total, slope

@@ -1,30 +1,26 @@
-"""Global search for the springs of a set of tasks: one nonlinear program for all tasks, from the springs of each task alone and others."""
+"""Global search for the springs of a set of tasks: one nonlinear program for all tasks, from the springs of each task alone and others.
 
-import uuid
+A task is a set of one: then its own optimum is the result.
+"""
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rrr_oc.codesign.design_file import Compromise
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.local_optima import (
-    SOLVED,
-    Optimum,
-    attached,
-    distinct,
-    follow_to_fine_mesh,
-    refined,
-    transcribed,
-)
-from rrr_oc.codesign.search.motions import MotionSearch, combined
+from rrr_oc.codesign.search.coarse import coarse_cost
+from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, follow_to_fine_mesh, followed, refined, transcribed
+from rrr_oc.codesign.search.motions import Covered, MotionSearch, combined
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
-from rrr_oc.codesign.search.starts import CoarseSolver, Start
+from rrr_oc.codesign.search.starts import Polisher, Start, polish
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import mesh_row
-from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
-from rrr_oc.parallel import once_per_process, ordered, unordered
+from rrr_oc.optimal_control.solver import Options, Solver, SolverFailure
+from rrr_oc.parallel import ordered, unordered
 from rrr_oc.progress import Progress, Step
 
 # Share of the time of a search that each of its stages takes, by experience
@@ -35,7 +31,6 @@ SHARES = {
     "springs of the first task": 0.15,
     "refined meshes": 0.15,
 }
-LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
 # Initial barrier parameters of a start: from the middle of all bounds, and nearer to the tasks' own motions.
 BARRIERS = (0.1, 1e-2)
 ITERATIONS = 300  # of a start at most; doubled, starts that lead nowhere take twice as long
@@ -59,23 +54,29 @@ class SetResult:
         motions: The optimum of each task with these springs held (T).
         alone: The optimum of each task with springs of its own (T).
         first: The optimum of each task with the springs of the first (T).
-        starts: All starts; none without springs.
+        starts: All starts; of several tasks none without springs.
         change: Relative decrease of the objective when the springs were optimised again on the refined meshes [1]; None where IPOPT
             did not solve that problem.
+        optima: Of one task the distinct local optima, cheapest first.
+        covered: Of one task what the search for motions of held springs has solved.
+        interrupted: Whether Ctrl-C ended the search early.
     """
 
     design: SetDesign
     parameters: np.ndarray
-    motions: tuple[Optimum, ...]
-    alone: tuple[Optimum, ...]
-    first: tuple[Optimum, ...]
-    starts: tuple[Start, ...]
-    change: float | None
+    motions: Sequence[Optimum]
+    alone: Sequence[Optimum]
+    first: Sequence[Optimum]
+    starts: Sequence[Start] = ()
+    change: float | None = 0.0
+    optima: Sequence[Optimum] = ()
+    covered: Covered | None = None
+    interrupted: bool = False
 
     @classmethod
-    def of_one(cls, design: SetDesign, optimum: Optimum) -> "SetResult":
-        """The result of a set of one task, from an optimum of that."""
-        return cls(design, optimum.solution.parameters, (optimum,), (optimum,), (optimum,), (), 0.0)
+    def apart(cls, design: SetDesign, alone: Sequence[Optimum]) -> "SetResult":
+        """The result where the tasks share nothing: one task, or no springs to be designed."""
+        return cls(design, alone[0].solution.parameters, alone, alone, alone)
 
     @property
     def total(self) -> float:
@@ -83,28 +84,12 @@ class SetResult:
         return self.design.total([o.cost for o in self.motions])
 
 
-@dataclass(frozen=True, eq=False)
-class FrontPoint:
-    """The best springs where the first task weighs more than in the set.
-
-    Attributes:
-        share: Share of the objective that is the first task's cost alone [1]; 0 is the set's own objective.
-        costs: Of the tasks (T).
-        total: The set's own objective.
-        springs: By a designer's names, in SI units.
-    """
-
-    share: float
-    costs: list[float]
-    total: float
-    springs: dict[str, float]
-
-
 def solve_set(
     design: SetDesign,
     alone: Sequence[Optimum],
     options: SearchOptions,
     report: Callable[[Step], None] = lambda _: None,
+    joint: Optimum | None = None,
 ) -> SetResult:
     """The best springs for a set of tasks.
 
@@ -114,41 +99,29 @@ def solve_set(
     Args:
         alone: The optimum of each task with springs of its own (T), on its design of `design.designs`.
         report: Is told how far the search is.
+        joint: An optimum of the joint problem that is known to be good, in the place of those to which starts lead.
 
     Raises:
         SolverFailure: No start led to an optimum.
     """
-    alone, progress = tuple(alone), Progress(SHARES, report)
-    if not design.sprung:
-        return SetResult(design, alone[0].solution.parameters, alone, alone, alone, (), 0.0)
-    starts = _polished(design, alone, options, progress)
-    progress.tell("fine mesh")
-    fine = _fine(design, starts, options)
-    progress.tell("motions and springs in turn", 0.0, f"best so far {fine.cost:.5g}")
-    best = _improved(design, fine, alone, options)
+    progress, starts = Progress(SHARES, report), list[Start]()
+    if joint is None:
+        if len(alone) == 1 or not design.sprung:
+            return SetResult.apart(design, alone)
+        joint, starts = _joint(design, alone, options, progress)
+    progress.tell("motions and springs in turn", 0.0, f"best so far {joint.cost:.5g}")
+    best = _improved(design, joint, alone, options)
     progress.tell("springs of the first task", 0.0, f"best so far {best.cost:.6g}")
     first = _with_first(design, best, alone, options)
     if design.total([o.cost for o in first]) < best.cost * (1 - CHEAPER):
         best = _improved(design, _rejoined(design, first, first[0].solution.parameters, options) or best, alone, options)
     progress.tell("refined meshes", 0.0, f"best so far {best.cost:.6g}")
-    return _compared(design, best, alone, first, options, tuple(starts))
-
-
-def _compared(
-    design: SetDesign,
-    best: Optimum,
-    alone: Sequence[Optimum],
-    first: Sequence[Optimum],
-    options: SearchOptions,
-    starts: tuple[Start, ...],
-) -> SetResult:
-    """The result of a joint optimum, on refined meshes, beside the tasks alone and the springs of the first."""
     parameters, motions, change = _refined(design, best, options)
-    better = tuple(ordered(_better_alone, [(*one, options) for one in zip(design.designs, alone, motions, strict=True)]))
+    better = ordered(_better_alone, [(*one, options) for one in zip(design.designs, alone, motions, strict=True)])
     if better[0].cost < alone[0].cost:
         first = _with_first(design, best, better, options)
-    refine = [(one, options, o) for one, o in zip(design.held(better[0].solution.parameters), first, strict=True)]
-    return SetResult(design, parameters, motions, better, tuple(ordered(_refined_alone, refine)), starts, change)
+    first = _refined_each(design.held(better[0].solution.parameters), first, options)
+    return SetResult(design, parameters, motions, better, first, starts, change)
 
 
 def solve_chosen(design: SetDesign, start: Guess, options: SearchOptions) -> SetResult:
@@ -161,22 +134,19 @@ def solve_chosen(design: SetDesign, start: Guess, options: SearchOptions) -> Set
     """
     motions = held_motions(design, start.parameters, [[m] for m in design.motions(start)], options)
     if not design.sprung:
-        calls = [(one, options, o) for one, o in zip(design.designs, motions, strict=True)]
-        return solve_set(design, ordered(_refined_alone, calls), options)
+        return SetResult.apart(design, _refined_each(design.designs, motions, options))
     joint = _rejoined(design, motions, start.parameters, options)
     if joint is None:
         raise SolverFailure("the chosen springs led to no optimum of the set", 0, 0.0, "")
-    near = ordered(
-        follow_to_fine_mesh, [(one, options, m) for one, m in zip(design.designs, _motions(design, joint), strict=True)]
-    )
+    near = followed([(one, options, m) for one, m in zip(design.designs, _motions(design, joint), strict=True)])
     alone = [a or m for a, m in zip(near, motions, strict=True)]
-    alone = ordered(_refined_alone, [(one, options, o) for one, o in zip(design.designs, alone, strict=True)])
-    best = _improved(design, joint, alone, options)
-    return _compared(design, best, alone, _with_first(design, best, alone, options), options, ())
+    return solve_set(design, _refined_each(design.designs, alone, options), options, joint=joint)
 
 
 def solve_bought(design: SetDesign, joint: Optimum, options: SearchOptions) -> SetResult:
     """The result of a joint optimum with hardware of a catalogue, on refined meshes; compared with itself alone."""
+    if len(design.designs) == 1:
+        return SetResult.apart(design, [joint])
     parameters, motions, change = _refined(design, joint, options)
     return SetResult(design, parameters, motions, motions, motions, (), change)
 
@@ -207,11 +177,11 @@ def held_motions(
 
 def _held(design: CoDesign, options: SearchOptions, starts: list[Guess], skip: int) -> Optimum | None:
     springs = design.problem.p_lower
-    followed = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
+    ends = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
     if options.motions:
         together = combined(MotionSearch(design, options).best(springs, skip), springs, 0)
-        followed += [follow_to_fine_mesh(design, options.narrow, guess) for guess in together]
-    return min((one for one in followed if one is not None), key=lambda o: o.cost, default=None)
+        ends += [follow_to_fine_mesh(design, options.narrow, guess) for guess in together]
+    return min((one for one in ends if one is not None), key=lambda o: o.cost, default=None)
 
 
 def _motions(design: SetDesign, joint: Optimum) -> list[Guess]:
@@ -228,42 +198,27 @@ def _springs(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions
     return [("alone", alone[t].solution.parameters) for t in picked] + drawn
 
 
-def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress: Progress) -> list[Start]:
-    """All starts on the coarse mesh, with the motions of the tasks alone, cheapest first."""
-    transcription, key = transcribed(design, options, options.coarse), uuid.uuid4().hex
-    springs = _springs(design, alone, options)
-    packed = transcription.pack(design.guess([o.solution.guess() for o in alone], springs[0][1]))
-    calls = []
-    for layer, parameters in springs:
-        w = packed.copy()
-        w[: len(parameters)] = parameters / design.problem.p_scale
-        calls.append((key, design, options, layer, w))
-    starts = []
-    for start in unordered(_polish, calls):
+def _joint(
+    design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress: Progress
+) -> tuple[Optimum, list[Start]]:
+    """The best joint optimum on the fine mesh from all starts, which have the motions of the tasks alone, and these, cheapest first;
+    raises `SolverFailure` where there is none."""
+    polisher, springs = Polisher(design, options, BARRIERS, ITERATIONS), _springs(design, alone, options)
+    packed = polisher.transcription.pack(design.guess([o.solution.guess() for o in alone], springs[0][1]))
+    size, scale, starts = len(springs[0][1]), design.problem.p_scale, list[Start]()
+    calls = [polisher.call(np.r_[parameters / scale, packed[size:]], layer, BARRIERS) for layer, parameters in springs]
+    for start in unordered(polish, calls):
         starts.append(start)
-        best = min(s.polished for s in starts)
-        said = f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else ""
-        progress.count("starts", len(starts), len(calls), said, "starts")
-    return sorted(starts, key=lambda s: (s.polished, s.layer))
-
-
-def _polish(key: str, design: SetDesign, options: SearchOptions, layer: str, w: np.ndarray) -> Start:
-    solver = once_per_process(key, lambda: CoarseSolver(design, options, BARRIERS, ITERATIONS))
-    return solver.started(layer, w, BARRIERS)
-
-
-def _fine(design: SetDesign, starts: Sequence[Start], options: SearchOptions) -> Optimum:
-    """The best joint optimum on the fine mesh from the distinct best starts; raises `SolverFailure` where there is none."""
-    transcription, empty = transcribed(design, options, options.coarse), np.empty(0)
-    coarse = [Solution(transcription, s.w, empty, empty, s.polished, SOLVED, 0, 0.0) for s in starts if s.w.size]
-    if not coarse:
+        progress.count("starts", len(starts), len(calls), coarse_cost(starts), "starts")
+    starts.sort(key=lambda s: (s.polished, s.layer))
+    progress.tell("fine mesh")
+    if not (coarse := polisher.optima(starts)):
         raise SolverFailure("no start led to an optimum of the set", 0, 0.0, "")
-    kept = distinct(Optimum(s, [], 1) for s in coarse)[: max(options.kept // 3, 1)]
-    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in kept])
-    found = [attached(design, options, o) for o in followed if o is not None]
+    kept = coarse[: max(options.kept // 3, 1)]
+    found = [o for o in followed([(design, options, o.solution.guess()) for o in kept]) if o is not None]
     if not found:
         raise SolverFailure("every optimum of the set was lost on the fine mesh", 0, 0.0, "")
-    return min(found, key=lambda o: o.cost)
+    return min(found, key=lambda o: o.cost), starts
 
 
 def _improved(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> Optimum:
@@ -310,7 +265,7 @@ def joint_optimum(
     return Optimum(best, [mesh_row(best)]) if (best := min(found, key=lambda s: s.cost, default=None)) else None
 
 
-def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple[np.ndarray, tuple[Optimum, ...], float | None]:
+def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple[np.ndarray, list[Optimum], float | None]:
     """Each task's mesh refined with the springs held, then springs and motions once more on these meshes.
 
     Returns the springs, the motions, and the relative decrease of the objective by the latter, as `SetResult.change`.
@@ -318,7 +273,7 @@ def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple
     parameters = joint.solution.parameters
     starts = [[motion] for motion in _motions(design, joint)]
     motions = held_motions(design, parameters, starts, replace(options, motions=0))
-    motions = ordered(_refined_alone, [(one, options, o) for one, o in zip(design.held(parameters), motions, strict=True)])
+    motions = _refined_each(design.held(parameters), motions, options)
     before = design.total([o.cost for o in motions])
     mesh = tuple(fractions for o in motions for fractions in o.solution.transcription.mesh)
     everywhere = any(o.solution.transcription.scheme.everywhere for o in motions)
@@ -329,16 +284,16 @@ def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple
         start, design.data(options.widths[-1]), check=False
     )
     if again.status != SOLVED or again.cost >= before:
-        return parameters, tuple(motions), 0.0 if again.status == SOLVED else None
+        return parameters, motions, 0.0 if again.status == SOLVED else None
     held = design.held(again.parameters)
     calls = [(one, settings, o, m) for one, o, m in zip(held, motions, design.motions(again.guess()), strict=True)]
-    moved = tuple(ordered(_on_mesh, calls))
+    moved = ordered(_on_mesh, calls)
     after = design.total([o.cost for o in moved])
-    return (again.parameters, moved, 1 - after / before) if after < before else (parameters, tuple(motions), 0.0)
+    return (again.parameters, moved, 1 - after / before) if after < before else (parameters, motions, 0.0)
 
 
-def _refined_alone(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
-    return refined(design, options, [optimum])[0]
+def _refined_each(designs: Sequence[CoDesign], optima: Sequence[Optimum], options: SearchOptions) -> list[Optimum]:
+    return refined([(one, options, o) for one, o in zip(designs, optima, strict=True)])
 
 
 def _on_mesh(design: CoDesign, settings: Options, old: Optimum, start: Guess) -> Optimum:
@@ -354,12 +309,12 @@ def _better_alone(one: CoDesign, alone: Optimum, found: Optimum, options: Search
     """The optimum of a task alone; where the set's motion costs less, the one near that, its springs free."""
     if found.cost >= alone.cost * (1 - CHEAPER):
         return alone
-    followed = follow_to_fine_mesh(one, options, found.solution.guess())
-    tried = [alone] if followed is None else [alone, _refined_alone(one, options, followed)]
+    near = follow_to_fine_mesh(one, options, found.solution.guess())
+    tried = [alone] if near is None else [alone, *refined([(one, options, near)])]
     return min(tried, key=lambda o: o.cost)
 
 
-def front(result: SetResult, options: SearchOptions, count: int) -> list[FrontPoint]:
+def front(result: SetResult, options: SearchOptions, count: int) -> list[Compromise]:
     """The set's optimum, `count` optima that favour the first task more and more, and that of the first task alone.
 
     The objective is (1 − share) Σ w_t V_t + share Σ w_t V_0; the optima between the ends are on the fine mesh, each found from the one
@@ -367,9 +322,9 @@ def front(result: SetResult, options: SearchOptions, count: int) -> list[FrontPo
     """
     design, weights = result.design, result.design.tasks.weights
 
-    def point(share: float, motions: Sequence[Optimum]) -> FrontPoint:
+    def point(share: float, motions: Sequence[Optimum]) -> Compromise:
         costs = [o.cost for o in motions]
-        return FrontPoint(share, costs, design.total(costs), design.first.hardware(motions[0].solution.parameters))
+        return Compromise(share, costs[0], design.total(costs), design.first.hardware(motions[0].solution.parameters))
 
     points, motions = [point(0.0, result.motions)], list(result.motions)
     for share in np.linspace(0, 1, count + 2)[1:-1]:

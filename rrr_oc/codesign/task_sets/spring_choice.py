@@ -8,6 +8,7 @@ on the number of combinations.
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -17,9 +18,10 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
-from rrr_oc.codesign.task_sets.held_motions import HeldMotions, SpringCost
+from rrr_oc.codesign.task_sets.held_motions import SpringCost
 from rrr_oc.codesign.task_sets.set_search import searched_optimum
 from rrr_oc.codesign.task_sets.task_set import SetDesign
+from rrr_oc.model.parameters import offsets
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
 from rrr_oc.parallel import once_per_process, ordered
@@ -28,6 +30,7 @@ DRAWN = 3  # springs from which a way to mount one is fitted; doubled, twice the
 STEPS = 30  # of such a fit; doubled, it takes longer, and the next round would have found the rest
 TRIED = 2  # removals and exchanges of a number of springs whose motions are solved; doubled, twice the time and a surer front
 GAIN = 1e-3  # [1] of the objective by which a point must be better than another; doubled, fewer points are on the front
+Held = Callable[[np.ndarray], tuple[float, np.ndarray]]  # parameters (np,) -> the objective on held motions, and its gradient
 BARRIERS = (1e-4, 1e-2)  # initial barrier parameters of a motion for changed springs; the second where the first finds none
 
 
@@ -111,7 +114,7 @@ class _Search:
 
     Attributes:
         places: For each place, the indices of the springs that may be mounted there, of which one can be.
-        own: For each offered spring, where its parameters are.
+        own, amplitudes: For each offered spring, where its parameters are, and its amplitudes among them.
         costs: Of each task, by its springs on held motions (T).
         solved: Number of sets of springs whose motions were solved.
     """
@@ -124,9 +127,10 @@ class _Search:
         self.data = [one.data(options.widths[-1]) for one in design.designs]
         each = zip(design.designs, self.transcriptions, self.data, strict=True)
         self.costs = [SpringCost(*one) for one in each]
-        sizes = [len(s.effect.parameters) for s in design.springs]
-        ends = np.cumsum(sizes)
-        self.own = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        effects = [spring.effect for spring in design.springs]
+        self.own = [np.arange(*ends) for ends in pairwise(offsets(effects))]
+        names = [[p.name for p in effect.parameters] for effect in effects]
+        self.amplitudes = [own[np.isin(n, e.amplitudes)] for own, n, e in zip(self.own, names, effects, strict=True)]
         self.places: dict[tuple, list[int]] = {}
         for i, spring in enumerate(design.springs):
             if not spring.known:
@@ -149,50 +153,49 @@ class _Search:
         p = parameters.copy()
         for i, spring in enumerate(self.design.springs):
             if i not in springs and not spring.known:
-                p[self.amplitudes(i)] = 0.0
+                p[self.amplitudes[i]] = 0.0
         return p
 
-    def amplitudes(self, spring: int) -> list[int]:
-        """Indices of a spring's amplitudes among all parameters."""
-        effect = self.design.springs[spring].effect
-        return [int(at) for at, p in zip(self.own[spring], effect.parameters, strict=True) if p.name in effect.amplitudes]
-
-    def held(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> HeldMotions:
+    def held(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> Held:
         """The objective on some motions, for fits of springs."""
-        return HeldMotions(self.design, self.costs, motions, parameters)
+        along = [cost.along(w, parameters) for cost, w in zip(self.costs, motions, strict=True)]
 
-    def fitted(self, parameters: np.ndarray, held: HeldMotions, springs: Sequence[int]) -> tuple[float, np.ndarray]:
+        def objective(p: np.ndarray) -> tuple[float, np.ndarray]:
+            values, slopes = zip(*(cost(one, p) for cost, one in zip(self.costs, along, strict=True)), strict=True)
+            weights = self.design.tasks.weights
+            return float(weights @ np.array(values)), weights @ np.array(slopes)
+
+        return objective
+
+    def fitted(self, parameters: np.ndarray, held: Held, springs: Sequence[int]) -> tuple[float, np.ndarray]:
         """(objective, parameters) with some springs optimised on held motions, from their present parameters."""
         free = np.concatenate([np.zeros(0, int), *[self.own[i] for i in springs]])
         if not free.size:
-            return held.cost(parameters)[0], parameters
+            return held(parameters)[0], parameters
         scale = self.design.first.problem.p_scale[free]
-        unit = max(held.cost(parameters)[0], 1e-9)
-
-        def value(x: np.ndarray) -> tuple[float, np.ndarray]:
-            p = parameters.copy()
-            p[free] = x * scale
-            total, slope = held.cost(p)
-            return total / unit, slope[free] * scale / unit
-
-        bounds = list(zip(self.lower[free] / scale, self.upper[free] / scale, strict=True))
-        found = minimize(value, parameters[free] / scale, jac=True, bounds=bounds, **self._constrained(parameters, free, scale))
-        p = parameters.copy()
-        p[free] = np.clip(found.x * scale, self.lower[free], self.upper[free])
-        return (found.fun * unit, p) if found.fun < 1 else (unit, parameters)
-
-    def _constrained(self, parameters: np.ndarray, free: np.ndarray, scale: np.ndarray) -> dict:
-        """Method and constraints of the fit: hardware must exist where parameters are functions of it."""
-        exists = self.design.first.problem.design
-        if exists is None:
-            return {"method": "L-BFGS-B", "options": {"maxiter": STEPS}}
-        d, slope = self.data[0], exists.jacobian()
+        unit = max(held(parameters)[0], 1e-9)
 
         def whole(x: np.ndarray) -> np.ndarray:
             p = parameters.copy()
             p[free] = x * scale
             return p
 
+        def value(x: np.ndarray) -> tuple[float, np.ndarray]:
+            total, slope = held(whole(x))
+            return total / unit, slope[free] * scale / unit
+
+        bounds = list(zip(self.lower[free] / scale, self.upper[free] / scale, strict=True))
+        found = minimize(value, parameters[free] / scale, jac=True, bounds=bounds, **self._constrained(whole, free, scale))
+        p = whole(found.x)
+        p[free] = np.clip(p[free], self.lower[free], self.upper[free])
+        return (found.fun * unit, p) if found.fun < 1 else (unit, parameters)
+
+    def _constrained(self, whole: Callable[[np.ndarray], np.ndarray], free: np.ndarray, scale: np.ndarray) -> dict:
+        """Method and constraints of the fit: hardware must exist where parameters are functions of it."""
+        exists = self.design.first.problem.design
+        if exists is None:
+            return {"method": "L-BFGS-B", "options": {"maxiter": STEPS}}
+        d, slope = self.data[0], exists.jacobian()
         return {
             "method": "SLSQP",
             "options": {"maxiter": STEPS},
@@ -203,7 +206,7 @@ class _Search:
             },
         }
 
-    def mounted(self, parameters: np.ndarray, held: HeldMotions, place: Sequence[int]) -> tuple[float, int, np.ndarray]:
+    def mounted(self, parameters: np.ndarray, held: Held, place: Sequence[int]) -> tuple[float, int, np.ndarray]:
         """(objective, spring, parameters) of the best spring of a place on held motions, from several drawn ones."""
         tries = []
         for i in place:
@@ -296,7 +299,7 @@ class _Search:
                     for i in here or point.springs:
                         springs = [*(j for j in point.springs if j != i), k]
                         cleared = self.cleared(p, springs)
-                        ranked.append((held.cost(cleared)[0], springs, cleared))
+                        ranked.append((held(cleared)[0], springs, cleared))
         started = self._best_started(ranked, point.motions)
         other = self.solved_jointly([p for p in started if p is not None and p.total < point.total])
         return other if other is not None and other.total < point.total * (1 - GAIN) else point
@@ -335,12 +338,8 @@ def kept_springs(design: SetDesign, point: ChoicePoint) -> list[int]:
 def chosen(design: SetDesign, options: SearchOptions, point: ChoicePoint) -> tuple[SetDesign, Guess]:
     """The set with the springs of a point alone, and the point as a starting point of its joint problem."""
     kept = kept_springs(design, point)
-    ends = np.cumsum([len(s.effect.parameters) for s in design.springs])[:-1]
-    parts = np.split(point.parameters, ends)
-    p, empty = np.concatenate([np.zeros(0), *[parts[i] for i in kept]]), np.empty(0)
-    solutions = [
-        Solution(transcribed(one, options, options.fine), w, empty, empty, point.total, SOLVED, 0, 0.0)
-        for one, w in zip(design.designs, point.motions, strict=True)
-    ]
+    parts = np.split(point.parameters, offsets([s.effect for s in design.springs])[1:-1])
+    p, pairs = np.concatenate([np.zeros(0), *[parts[i] for i in kept]]), zip(design.designs, point.motions, strict=True)
+    solutions = [Solution.bare(transcribed(one, options, options.fine), w) for one, w in pairs]
     reduced = design.with_springs(tuple(design.springs[i] for i in kept))
     return reduced, reduced.guess([s.guess() for s in solutions], p)

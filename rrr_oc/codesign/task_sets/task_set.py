@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
-from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.springs import SpringBounds, each
 from rrr_oc.codesign.task import PHASES, PRESETS, End, Task, TaskFile, load_task, read_task, task_of
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, Link, Problem
@@ -32,7 +32,7 @@ class TaskEntry(Schema, frozen=True):
 
     Attributes:
         name: Name in reports; by default the file's, or the number in the list.
-        weight: Factor on its cost.
+        weight: Factor on its cost; of one task alone it counts for nothing.
         task: A bundled task or the path of a task's file, relative to this file; by default the base.
         payload_kg: Mass that it carries from start to release.
         start: Where the arm takes the payload.
@@ -112,6 +112,11 @@ class TaskSet:
     payload: float = 0.0
     model: tuple[str, ...] = ()
 
+    @classmethod
+    def of_one(cls, task: Task) -> "TaskSet":
+        """A task alone."""
+        return cls(task.name, (task,), np.ones(1))
+
     @property
     def first(self) -> Task:
         """The first task, or the only one."""
@@ -144,8 +149,7 @@ def load_tasks(source: str | Path) -> TaskSet:
     """A set of tasks, or a single task as a set; raises `UserError` as `load_task_set` and `load_task` do."""
     if is_task_set(str(source)):
         return load_task_set(source)
-    task = load_task(source)
-    return TaskSet(task.name, (task,), np.ones(1))
+    return TaskSet.of_one(load_task(source))
 
 
 def load_task_set(source: str | Path) -> TaskSet:
@@ -169,7 +173,7 @@ def load_task_set(source: str | Path) -> TaskSet:
     return TaskSet(
         given.name or Path(str(source)).stem,
         tasks,
-        np.array([entry.weight for entry in given.tasks]),
+        np.array([entry.weight if len(tasks) > 1 else 1.0 for entry in given.tasks]),
         given.objective,
         unsure.payload,
         tuple(dict.fromkeys(unsure.model)),
@@ -216,6 +220,11 @@ class SetDesign:
     tasks: TaskSet
     designs: tuple[CoDesign, ...]
 
+    @classmethod
+    def of_one(cls, design: CoDesign) -> "SetDesign":
+        """The problem of a task alone."""
+        return cls(TaskSet.of_one(design.task), (design,))
+
     @property
     def first(self) -> CoDesign:
         """The problem of the first task."""
@@ -238,6 +247,8 @@ class SetDesign:
     @cached_property
     def problem(self) -> Problem:
         """The joint optimal-control problem. Its cost is the objective, the costs of a task being those of its scenarios."""
+        if len(self.designs) == 1:
+            return self.first.problem
         alone, size, cases = self.first.problem, len(self.first.data_names), self.first.costs
         shared = self.tasks.objective == "sum" and cases == 1  # then the costs add up and need no levels
         count = 1 if shared else cases * len(self.designs)
@@ -292,10 +303,6 @@ class SetDesign:
         """The same tasks with springs fixed to hardware, except the names in `keep_free`."""
         return replace(self, designs=tuple(design.with_fixed(hardware, keep_free) for design in self.designs))
 
-    def hardware(self, parameters: np.ndarray) -> dict[str, float]:
-        """The springs of a solution by a designer's names, see `CoDesign.hardware`."""
-        return self.first.hardware(parameters)
-
     def held(self, parameters: np.ndarray) -> list[CoDesign]:
         """The problem of each task alone with the springs held (np,)."""
         return [design.with_fixed(design.hardware(parameters)) for design in self.designs]
@@ -329,15 +336,13 @@ def _intervals(design: CoDesign, tasks: TaskSet, model: CalibratedModel | None) 
         return []
     if model is None:
         raise UserError(f"{where}: {tasks.model[0]} needs --model and --repaired, the model that has its 95 % interval")
-    at, known = 0, dict[str, tuple[int, tuple[float, float]]]()
-    terms = {(term.effect.name, term.effect.joints): term for term in model.terms}
-    for spring in design.springs:
-        effect = spring.effect
-        for i, parameter in enumerate(effect.parameters):
-            interval = terms[effect.name, effect.joints].estimates[i].interval if spring.known else None
-            if interval is not None:
-                known[f"{design.model.label(effect)}.{parameter.name}"] = at + i, interval
-        at += len(effect.parameters)
+    terms, known = {(term.effect.name, term.effect.joints): term for term in model.terms}, {}
+    for spring, at in each(design.springs, range(len(design.model.parameters))):
+        if spring.known:
+            effect = spring.effect
+            named = zip(at.items(), terms[effect.name, effect.joints].estimates, strict=True)
+            intervals = {name: (i, e.interval) for (name, i), e in named if e.interval is not None}
+            known |= {f"{design.model.label(effect)}.{name}": found for name, found in intervals.items()}
     if not known:
         raise UserError(f"{where}: found {tasks.model[0]}; the model has no parameter of links or payload with a 95 % interval")
     check_names(tasks.model, known, where, "parameter")

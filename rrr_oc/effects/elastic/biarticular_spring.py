@@ -7,11 +7,9 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.effects.base import Prior, Signals
-from rrr_oc.effects.capabilities import NativeTwin
-from rrr_oc.effects.design_form import Axis, DesignForm, Quantity
-from rrr_oc.effects.springs import DesignSpring, LinkSpring, ListedSpring, Listing
+from rrr_oc.effects.design_form import Axis, DesignForm, Quantity, angle
+from rrr_oc.effects.springs import ListedSpring, Listing, Wound
 from rrr_oc.errors import UserError
-from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
 WIDER = 1.05  # factor by which the parameters' box is wider than the hardware allows, so that `exists` binds, not the box
@@ -34,6 +32,12 @@ HARDWARE_LIMITS = (
 def reduced(k_b, q_0, r_1, r_2, r_3):
     """(kappa, rho, phi) of hardware: stiffness [Nm/rad], equilibrium [rad], radii [m] (any type with arithmetic)."""
     return k_b * (r_2 / r_1) ** 2, r_3 / r_2, r_1 * q_0 / r_2
+
+
+def wound(ending: str = "") -> tuple[Quantity, ...]:
+    """The quantities of Eq. 5, whose symbols have an ending."""
+    radii = (Quantity(f"{r}{ending}", f"{r}_mm", "m", 1e-3) for r in NAMES[2:])
+    return Quantity(f"k_b{ending}", "k_b_Nm_per_rad", "Nm/rad"), angle(f"q_0{ending}", "q_0_deg"), *radii
 
 
 class BiarticularForm(DesignForm):
@@ -127,7 +131,7 @@ class BiarticularForm(DesignForm):
 
 
 @dataclass(frozen=True)
-class Biarticular(LinkSpring, DesignSpring, NativeTwin):
+class Biarticular(Wound):
     """The law of `BiarticularSpring`, which others with the same cable have.
 
     Attributes:
@@ -144,36 +148,15 @@ class Biarticular(LinkSpring, DesignSpring, NativeTwin):
     winding: tuple[int, int] = (1, 1)
     pulleys: float = 1.0
 
-    def __post_init__(self) -> None:
-        if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
-            raise UserError(f"a biarticular spring spans two different joints, got {self.joints}")
-        if len(self.winding) != 2 or any(w not in (-1, 1) for w in self.winding):
-            raise UserError(f"a biarticular spring's winding is a pair of +1 or -1, got {self.winding}")
-
     def stretch(self, signals, theta):
         (a, b), (wa, wb) = self.joints, self.winding
         return -wa * signals.q[a] - wb * theta["rho"] * signals.q[b] - theta["phi"]
-
-    def torque(self, signals, theta, width):
-        pull = theta["kappa"] * ramp(self.stretch(signals, theta), width)
-        return self.winding[0] * pull, self.winding[1] * theta["rho"] * pull
-
-    def energy(self, signals, theta, width):
-        return theta["kappa"] * ramp_integral(self.stretch(signals, theta), width)
 
     def lever(self, theta):
         return self.winding[0], self.winding[1] * theta["rho"]
 
     def moved(self, theta, offset):
         return {**theta, "phi": theta["phi"] + self.pulleys * offset}
-
-    def native(self, spec, joints, theta):
-        """A fixed tendon of length w_a q_a + w_b rho q_b that is slack above −phi."""
-        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}_{joints[self.joints[1]]}")
-        tendon.wrap_joint(joints[self.joints[0]], self.winding[0])
-        tendon.wrap_joint(joints[self.joints[1]], self.winding[1] * theta["rho"])
-        tendon.stiffness[0] = theta["kappa"]
-        tendon.springlength = [-theta["phi"], 1e6]
 
 
 class BiarticularSpring(Biarticular, ListedSpring):
@@ -198,11 +181,7 @@ class BiarticularSpring(Biarticular, ListedSpring):
     design = BiarticularForm(
         "BPEA",
         "a spring across two joints",
-        (
-            Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
-            Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
-            *(Quantity(r, f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
-        ),
+        wound(),
         shop="biarticular_spring",
     )
 

@@ -5,16 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.effects.base import Prior, Trial
-from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.elastic.parallel_spring import SIDES, ParallelSpring
-from rrr_oc.effects.springs import two_sided_tendon
+from rrr_oc.effects.springs import Elastic
 from rrr_oc.robot.parameters import Parameter
 
 RESTS = (0.1, 0.3, 0.5, 0.7, 0.9)  # of trials that harden, as shares of the range; fits move them
 
 
 @dataclass(frozen=True)
-class CableHarness(NativeTwin):
+class CableHarness(Elastic):
     """tau = −stiffness x − hardening x³, x = q − rest: the two terms of an odd law, the second only where it `hardens`.
 
     Attributes:
@@ -40,6 +39,8 @@ class CableHarness(NativeTwin):
         "dress packs are led so that they pull less than the load does",
     )
 
+    goes_slack = False
+
     hardens: bool = False
 
     def __post_init__(self) -> None:
@@ -48,28 +49,20 @@ class CableHarness(NativeTwin):
         else:
             object.__setattr__(self, "parameters", self.parameters[:2])
 
-    def _stretch(self, signals, theta):
-        return signals.q[self.joints[0]] - theta["rest"]
+    def stretch(self, signals, theta):
+        return theta["rest"] - signals.q[self.joints[0]]
 
     def torque(self, signals, theta, width):
-        x = self._stretch(signals, theta)
-        linear = -theta["stiffness"] * x
-        return (linear - theta["hardening"] * x**3 if self.hardens else linear,)
+        (linear,) = super().torque(signals, theta, width)
+        return (linear + theta["hardening"] * self.stretch(signals, theta) ** 3 if self.hardens else linear,)
 
     def energy(self, signals, theta, width):
-        x = self._stretch(signals, theta)
-        linear = theta["stiffness"] * x**2 / 2
-        return linear + theta["hardening"] * x**4 / 4 if self.hardens else linear
+        linear = super().energy(signals, theta, width)
+        return linear + theta["hardening"] * self.stretch(signals, theta) ** 4 / 4 if self.hardens else linear
 
     @property
     def law(self):
         return self.equation if self.hardens else "tau = -stiffness (q - rest)"
-
-    def native(self, spec, joints, theta):
-        """A fixed tendon over one joint, slack nowhere, its third coefficient the hardening."""
-        two_sided_tendon(
-            spec, self.name, joints[self.joints[0]], theta["stiffness"], theta["rest"], theta.get("hardening", 0.0)
-        )
 
     @property
     def linear(self):

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.design_form import Quantity
-from rrr_oc.effects.elastic.biarticular_spring import WIDER, Biarticular, BiarticularForm
+from rrr_oc.effects.elastic.biarticular_spring import WIDER, Biarticular, BiarticularForm, wound
 from rrr_oc.effects.springs import Clutched
 from rrr_oc.errors import UserError
 
@@ -28,19 +27,7 @@ class ClutchedBiarticularSpring(Clutched, Biarticular):
     )
     role = "design"
     options = {**Biarticular.options, **Clutched.options}  # noqa: RUF012
-    design = BiarticularForm(
-        "CBPEA",
-        "a spring across two joints that a clutch connects in one phase",
-        (
-            Quantity("k_bc", "k_b_Nm_per_rad", "Nm/rad"),
-            Quantity("q_0c", "q_0_deg", "rad", np.pi / 180, free=True),
-            *(Quantity(f"{r}c", f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
-        ),
-    )
-
-    def __post_init__(self) -> None:
-        Biarticular.__post_init__(self)
-        Clutched.__post_init__(self)
+    design = BiarticularForm("CBPEA", "a spring across two joints that a clutch connects in one phase", wound("c"))
 
     def kept_energy(self, lower, upper, ends):
         """The ratio of the levers is that with which the cable is as long at one end as at the other."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.design_form import DesignForm, about_a_joint
 from rrr_oc.effects.elastic.two_sided_spring import TwoSidedSpring
 from rrr_oc.effects.springs import Clutched
 from rrr_oc.errors import UserError
@@ -25,14 +25,7 @@ class ClutchedSpring(Clutched, TwoSidedSpring):
     name = "clutched_spring"
     equation = "tau = -stiffness (q - equilibrium) in one phase of a task, else 0"
     plain = "In one phase ({phase}) a spring pulls {joints} towards {equilibrium:deg} from both sides: {stiffness}."
-    design = DesignForm(
-        "CPEA",
-        "springs across one joint that a clutch connects in one phase",
-        (
-            Quantity("k_c", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
-            Quantity("q_c", "equilibrium_deg", "rad", np.pi / 180, free=True),
-        ),
-    )
+    design = DesignForm("CPEA", "springs across one joint that a clutch connects in one phase", about_a_joint("k_c", "q_c"))
 
     def kept_energy(self, lower, upper, ends):
         """The equilibrium is the middle between the ends."""

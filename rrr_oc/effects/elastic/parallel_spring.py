@@ -6,11 +6,8 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.effects.base import Prior
-from rrr_oc.effects.capabilities import NativeTwin
-from rrr_oc.effects.design_form import DesignForm, Quantity
-from rrr_oc.effects.springs import DesignSpring, ListedSpring, Listing
-from rrr_oc.errors import UserError
-from rrr_oc.numerics.smooth import ramp, ramp_integral
+from rrr_oc.effects.design_form import DesignForm, about_a_joint
+from rrr_oc.effects.springs import ListedSpring, Listing, Wound
 from rrr_oc.robot.parameters import Parameter
 
 FURTHEST = 4 * np.pi  # [rad], largest equilibrium; a spring beyond acts as a constant torque, which is another effect
@@ -18,7 +15,7 @@ SIDES = ("below", "above")
 
 
 @dataclass(frozen=True)
-class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
+class ParallelSpring(Wound, ListedSpring):
     """Unilateral spiral torsion spring across one joint (Eq. 3).
 
     tau_p = −k (q − q_eq) where q ≥ q_eq (`active="above"`, as Eq. 3 is printed), or where q ≤ q_eq (`active="below"`, the
@@ -42,18 +39,11 @@ class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
     design = DesignForm(
         "PEA",
         "springs in parallel with joints",
-        (
-            Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
-            Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),
-        ),
+        about_a_joint("k_p", "q_eq"),
         shop="parallel_springs_Nm_per_rad",
     )
 
     active: Literal["below", "above"] = "below"
-
-    def __post_init__(self) -> None:
-        if self.active not in SIDES:
-            raise UserError(f"a parallel spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
 
     @property
     def law(self):
@@ -67,18 +57,8 @@ class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
     def stretch(self, signals, theta):
         return self._sign * (theta["equilibrium"] - signals.q[self.joints[0]])
 
-    def torque(self, signals, theta, width):
-        return (self._sign * theta["stiffness"] * ramp(self.stretch(signals, theta), width),)
-
-    def energy(self, signals, theta, width):
-        return theta["stiffness"] * ramp_integral(self.stretch(signals, theta), width)
-
-    def native(self, spec, joints, theta):
-        """A fixed tendon over one joint; its spring is slack between `springlength`'s two lengths."""
-        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}")
-        tendon.wrap_joint(joints[self.joints[0]], -self._sign)
-        tendon.stiffness[0] = theta["stiffness"]
-        tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
+    def lever(self, theta):
+        return (self._sign,)
 
     def possible(self, theta, payload):
         return super().possible(theta, payload) and abs(theta["equilibrium"]) < FURTHEST

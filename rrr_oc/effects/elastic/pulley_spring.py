@@ -6,10 +6,9 @@ from typing import Any, Literal
 import numpy as np
 
 from rrr_oc.effects.base import Signals
-from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.design_form import DesignForm, Quantity, angle
 from rrr_oc.effects.elastic.parallel_spring import SIDES
 from rrr_oc.effects.springs import DesignSpring, LinkSpring
-from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import cos, ramp, ramp_integral, sin
 from rrr_oc.robot.parameters import Parameter
 
@@ -57,16 +56,12 @@ class PulleySpring(LinkSpring, DesignSpring):
         "cable springs over pulleys of changing radius",
         (
             Quantity("k_v", "stiffness_N_per_m", "N/m", lowest=0.0),
-            Quantity("q_v", "equilibrium_deg", "rad", np.pi / 180, free=True),
+            angle("q_v", "equilibrium_deg"),
             *(Quantity(f"r{i}_v", "radius_mm", "m", 1e-3, lowest=1.0) for i in range(1, len(RADII) + 1)),
         ),
     )
 
     active: Literal["below", "above"] = "below"
-
-    def __post_init__(self) -> None:
-        if self.active not in SIDES:
-            raise UserError(f"a pulley spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
 
     @property
     def _sign(self) -> int:

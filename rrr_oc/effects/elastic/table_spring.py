@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.design_form import DesignForm, Quantity, angle
 from rrr_oc.effects.springs import DesignSpring, LinkSpring
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.cubic_spline import natural_spline
@@ -38,10 +38,7 @@ class TableSpring(LinkSpring, DesignSpring):
     design = DesignForm(
         "NPEA",
         "springs across one joint as a table lists them",
-        (
-            Quantity("n_n", "number", "1", lowest=0.0),
-            Quantity("q_n", "equilibrium_deg", "rad", np.pi / 180, free=True),
-        ),
+        (Quantity("n_n", "number", "1", lowest=0.0), angle("q_n", "equilibrium_deg")),
         tables={"table_deg_Nm": ("angle_deg", "torque_Nm")},
     )
 
@@ -49,8 +46,7 @@ class TableSpring(LinkSpring, DesignSpring):
     table_deg_Nm: tuple[tuple[float, float], ...] = HARDENING
 
     def __post_init__(self) -> None:
-        if self.mounting not in MOUNTINGS:
-            raise UserError(f"a table spring is mounted 'as listed' or 'mirrored', got {self.mounting!r}")
+        super().__post_init__()
         rows = np.array(self.table_deg_Nm, float).reshape(-1, 2)
         if not ROWS[0] <= len(rows) <= ROWS[1]:
             raise UserError(f"table_deg_Nm has {len(rows)} rows; {ROWS[0]} to {ROWS[1]} are required")

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.base import Prior, Trial
-from rrr_oc.effects.capabilities import NativeTwin
+from rrr_oc.effects.base import Prior, Signals, Trial
 from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
-from rrr_oc.effects.springs import LinkSpring
-from rrr_oc.errors import UserError
+from rrr_oc.effects.springs import Elastic, LinkSpring
 from rrr_oc.robot.parameters import Parameter
 
 LEVERS = (
@@ -23,7 +21,7 @@ FURTHEST = 2  # joints between which a spring is sought are as many apart at mos
 
 
 @dataclass(frozen=True)
-class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
+class TwoSidedBiarticularSpring(Elastic, LinkSpring):
     """tau_a = −kappa s, tau_b = −rho kappa s, with the stretch s = q_a + rho q_b − phi; rho is negative where the cable is crossed.
 
     Eq. 5 of both windings back to back, which always pulls.
@@ -37,6 +35,7 @@ class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
     )
     parameters = (Parameter("kappa", "Nm/rad", 5.0, lower=0.0), Parameter("rho", "1", 1.0), Parameter("phi", "rad"))
     amplitudes = ("kappa", "phi")
+    goes_slack = False
     placement = "pair"
     prior = Prior(
         0.0005, {"kappa": (0.5, "torque")}, "as springs across two joints, of hoses as well as of steel", where_springs=10.0
@@ -46,34 +45,15 @@ class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
     def sentence(cls, joints, values):
         return super().sentence(joints, {**values, "sign": f"{values['rho']:plus|minus}"})
 
-    def __post_init__(self) -> None:
-        if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
-            raise UserError(f"a biarticular spring spans two different joints, got {self.joints}")
-
-    def _stretch(self, q, theta):
+    def stretch(self, signals, theta):
         a, b = self.joints
-        return q[a] + theta["rho"] * q[b] - theta["phi"]
-
-    def torque(self, signals, theta, width):
-        pull = -theta["kappa"] * self._stretch(signals.q, theta)
-        return pull, theta["rho"] * pull
-
-    def energy(self, signals, theta, width):
-        return theta["kappa"] * self._stretch(signals.q, theta) ** 2 / 2
+        return -(signals.q[a] + theta["rho"] * signals.q[b] - theta["phi"])
 
     def lever(self, theta):
         return 1.0, theta["rho"]
 
     def moved(self, theta, offset):
         return {**theta, "phi": theta["phi"] + offset}
-
-    def native(self, spec, joints, theta):
-        """A fixed tendon of length q_a + rho q_b whose spring is slack nowhere."""
-        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}_{joints[self.joints[1]]}")
-        tendon.wrap_joint(joints[self.joints[0]], 1.0)
-        tendon.wrap_joint(joints[self.joints[1]], theta["rho"])
-        tendon.stiffness[0] = theta["kappa"]
-        tendon.springlength = [theta["phi"], theta["phi"]]
 
     @property
     def linear(self):
@@ -92,7 +72,8 @@ class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
         result, (a, b) = [], self.joints
         for theta in trial.points:
             typical = math.sqrt(view.unit(unit, (a,)) * view.unit(unit, (b,)) / abs(theta["rho"]))
-            result.append(number * typical / max(float(np.abs(self._stretch(view.positions, theta)).max()), 1e-3))
+            stretch = float(np.abs(self.stretch(Signals(view.positions), theta)).max())
+            result.append(number * typical / max(stretch, 1e-3))
         return np.array(result)
 
     @classmethod
