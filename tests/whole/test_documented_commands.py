@@ -70,6 +70,7 @@ NOT_RUN = {
     "validation/search_seeds.py": ("an hour", "tests/codesign/test_multistart.py"),
     "validation/other_arms.py": ("hours, and needs robot files of others", "tests/validation/test_other_arms.py"),
     "studies/pea_bpea.py": ("minutes", "tests/whole/test_study.py"),
+    "studies/buildable_springs.py": ("half an hour", "tests/studies/test_buildable_springs.py"),
     "studies/natural_dynamics.py": ("an hour", "tests/whole/test_natural_dynamics_study.py"),
     "studies/calibration.py": ("needs the authors' recordings", "tests/whole/test_calibration_study.py"),
     "studies/concealed_physics.py": ("hours", "tests/whole/test_concealed_study.py"),

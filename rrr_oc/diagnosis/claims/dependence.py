@@ -143,10 +143,7 @@ def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Find
             place = Place.of(left_out, near, f, findings, stack)
             others = tuple(offered[g.term] for g in findings if left_out.of(g.term) in place.less)
             best = _simplest(reached(place, place.functions()))
-            one = best is not None and (
-                _is_like_all(place, best, stack) or _is_better(search, complete, place, (*others, best.addition))
-            )
-            if best is not None and one:
+            if best and (_is_like_all(place, best, stack) or _is_better(search, complete, place, (*others, best.addition))):
                 kept = [g for g in kept if left_out.of(g.term) in place.less]
                 new.append((best.addition, _most_like(search, complete, place, others, reached(place, place.laws()), best)))
                 continue
