@@ -44,11 +44,10 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
 
 def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     """All parameters of a model's terms and the errors of its links, from the values that they have."""
-    began, whole = time.perf_counter(), prepare(recordings)
-    model, lags = first_estimate(recordings, whole, nominal)
-    if lags.any():
-        recordings = on_one_clock(recordings, lags)
-        whole = prepare(recordings)
+    began = time.perf_counter()
+    model, lags = first_estimate(recordings, prepare(recordings), nominal)
+    recordings = on_one_clock(recordings, lags)
+    whole = prepare(recordings)
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))

@@ -57,7 +57,7 @@ def events(fitted: Fitted) -> list[Event]:
         if sum(map(len, stretches)) > MOST * counted.sum():
             continue
         half = STRIDE * EVERY / 2
-        for rows in stretches:
+        for rows in sorted(stretches, key=lambda rows: rows[0]):
             file = data.prepared[number[rows[0]]].recording.file
             peak = float(sudden[rows[np.argmax(np.abs(sudden[rows]))]])
             result.append(Event(joint, file, float(t[rows[0]] - half), float(t[rows[-1]] + half), peak))

@@ -188,7 +188,8 @@ class Data:
     @cached_property
     def may_stick(self) -> np.ndarray:
         """Rows whose filter reaches to where a joint turns or rests, so that friction may be there what it is at rest, (n, M)."""
-        rests = [(abs(p.matrix) @ (~p.moving).T.astype(float)).T > TURNS for p in self.prepared]
+        # of a copy: sizes of a sparse matrix sort its entries in place, and sums their last digits
+        rests = [(abs(p.matrix.copy()) @ (~p.moving).T.astype(float)).T > TURNS for p in self.prepared]
         return self.turning | np.concatenate(rests, axis=1)[:, self.at]
 
     @cached_property

@@ -143,7 +143,7 @@ def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Find
             place = Place.of(left_out, near, f, findings, stack)
             others = tuple(offered[g.term] for g in findings if left_out.of(g.term) in place.less)
             best = _simplest(reached(place, place.functions()))
-            if best and (_is_like_all(place, best, stack) or _is_better(search, complete, place, (*others, best.addition))):
+            if best is not None and _is_better(search, complete, place, (*others, best.addition)):
                 kept = [g for g in kept if left_out.of(g.term) in place.less]
                 new.append((best.addition, _most_like(search, complete, place, others, reached(place, place.laws()), best)))
                 continue
@@ -183,14 +183,6 @@ def by_degree(search: StructureSearch, complete: Fitted, findings: Sequence[Find
     every = further(search, fitted, len(kept))
     likes = {t: like for t, (_, like) in zip(fitted.extra[len(kept) :], new, strict=True)}
     return fitted, once_of_each([*some, *(replace(f, like=likes[f.term]) for f in every)])
-
-
-def _is_like_all(place: Place, best: Shape, stack: Sequence[Finding]) -> bool:
-    """Whether a function of the variables of several laws predicts as well as all of them: they may as well be one law that no catalogue
-    has."""
-    n = place.left_out.near.linear.fitter.data.n
-    of_laws = {pair for f in stack for pair in variables(f.term, n)}
-    return set(best.effect.depends_on) <= of_laws and place.against((*place.less, best.addition), place.whole).high > 0
 
 
 def _is_better(search: StructureSearch, complete: Fitted, place: Place, structure: Structure) -> bool:
