@@ -70,7 +70,8 @@ def _is_sure(size: np.ndarray, freedom: np.ndarray) -> np.ndarray:
 def errors_of(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
     """Of each recording the mean square of a model's filtered residual over that of the torque, summed over the joints, (R,)."""
     left = [p.passed(residuals(p, model), np.arange(len(p.measured))) for p in prepared]
-    return np.array([np.sum(np.mean(x**2, axis=1) / np.var(p.measured, axis=1)) for x, p in zip(left, prepared, strict=True)])
+    sizes = [np.maximum(np.var(p.measured, axis=1), 1e-300) for p in prepared]
+    return np.array([np.sum(np.mean(x**2, axis=1) / size) for x, size in zip(left, sizes, strict=True)])
 
 
 def _lag(p: Prepared, predicted: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -108,10 +109,12 @@ def _edges(p: Prepared) -> np.ndarray:
 
 def _estimate(slope: np.ndarray, gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least squares from sums of each block, (B, 2) and (B, 2, 2), and standard errors from how the blocks differ (White 1980)."""
-    inverse = np.linalg.pinv(gram.sum(axis=0))
+    total = gram.sum(axis=0)
+    inverse = np.linalg.pinv(total)
     value = inverse @ slope.sum(axis=0)
     apart = (slope - gram @ value) @ inverse
-    return value, np.sqrt(len(slope) / max(len(slope) - 1, 1) * np.sum(apart**2, axis=0)) + 1e-12
+    std = np.sqrt(len(slope) / (len(slope) - 1) * np.sum(apart**2, axis=0))
+    return value, np.where(np.diag(total) > 0, np.maximum(std, 1e-12), 1.0)  # a second, where nothing tells: longer than any
 
 
 def said_of_clocks(recordings: RecordingSet) -> list[str]:
@@ -134,11 +137,10 @@ def _shifted(r: Recording, x: np.ndarray, lag: np.ndarray) -> np.ndarray:
 
 def _undone(r: Recording, middle: float, over_all: float) -> Recording:
     """A recording with its torques at the times of its positions, which says so."""
-    said = [f"are {abs(middle) * 1e3:.2g} ms {'later' if middle > 0 else 'earlier'} than those of other recordings"] * bool(
-        middle
-    )
-    said += [f"fall {'behind' if over_all > 0 else 'ahead of'} the positions by {abs(over_all) * 1e3:.2g} ms over it"] * bool(
-        over_all
-    )
+    said = []
+    if middle:
+        said.append(f"are {abs(middle) * 1e3:.2g} ms {'later' if middle > 0 else 'earlier'} than those of other recordings")
+    if over_all:
+        said.append(f"fall {'behind' if over_all > 0 else 'ahead of'} the positions by {abs(over_all) * 1e3:.2g} ms over it")
     known = {OWN + r.file: f"torques {' and '.join(said)}, as by a clock of their own; this is undone"}
     return replace(r, tau=_shifted(r, r.tau, np.array([middle, over_all])), mended={**r.mended, **known})

@@ -49,8 +49,6 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         positions=positions,
         inertia=np.maximum(np.median(inertia, axis=0), 1e-9),
         springs=tuple(sorted(springs)),
-        payload=any(np.any(p.recording.payload > 0) for p in prepared)
-        or any(term.effect.alters == "payload" for term in model.terms),
         dry=dry_friction(model, torque, np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3)),
         torque=torque,
         mass=np.maximum(model.robot.inertial[0], 1e-3),

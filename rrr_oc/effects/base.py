@@ -103,7 +103,6 @@ class View:
         positions: A sample of joint positions [rad], (n, K).
         inertia: Median over these positions of the inertia that each joint's drive moves, without payload [kg m²], (n,).
         springs: Joints of the springs that recordings list.
-        payload: Whether a recording lists a payload, or the model has found one.
         dry: Dry friction of each joint [Nm], (n,); where drives have none, as where the load torque is recorded, a share of `torque`.
         torque: Standard deviation of each joint's recorded torque [Nm], (n,).
         mass: Mass of each joint's link [kg], (n,).
@@ -119,7 +118,6 @@ class View:
     positions: np.ndarray
     inertia: np.ndarray
     springs: tuple[tuple[int, ...], ...]
-    payload: bool
     dry: np.ndarray
     torque: np.ndarray
     mass: np.ndarray

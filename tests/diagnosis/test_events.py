@@ -45,3 +45,16 @@ def test_what_comes_again_with_the_motion_of_each_recording_is_no_event(planar, 
     made = [record(plant, f"{i}.csv", rng, SECONDS, 0.01, motion) for i in range(COUNT)]
     struck = [replace(r, tau=r.tau + 3.0 * (np.abs(r.t - 6.0) < 0.1) * (every or i == 2)) for i, r in enumerate(made)]
     assert [e.recording for e in told(as_set(plant, struck))] == ([] if every else ["2.csv"])
+
+
+def test_friction_that_sticks_where_a_joint_turns_is_no_event_and_more_than_that_is(planar):
+    """At some turns friction is another one within its level of 1 Nm, as where a joint rests for a moment; once 4 Nm more act there."""
+    plant, rng = planar(1), np.random.default_rng(11)
+    made = [record(plant, f"{i}.csv", rng, SECONDS, 0.01) for i in range(COUNT)]
+    turns = [np.flatnonzero(np.diff(np.sign(r.dq[0])))[2::3] for r in made]
+    near = [np.min(np.abs(np.arange(len(r.t))[:, None] - k), axis=1) < 8 for r, k in zip(made, turns, strict=True)]
+    stuck = [replace(r, tau=r.tau + 0.9 * at) for r, at in zip(made, near, strict=True)]
+    assert told(as_set(plant, stuck)) == []
+    at = float(made[1].t[turns[1][0]])
+    pushed = [replace(r, tau=r.tau + 4.0 * (i == 1) * (np.abs(r.t - at) < 0.1)) for i, r in enumerate(stuck)]
+    assert [e.recording for e in told(as_set(plant, pushed)) if e.begin < at < e.end] == ["1.csv"]

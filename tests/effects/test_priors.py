@@ -45,7 +45,6 @@ def seen() -> View:
         positions=np.random.default_rng(0).uniform([[-1.0], [-0.5], [0.0]], [[1.0], [0.5], [3.0]], (3, 200)),
         inertia=np.array([2.0, 1.0, 0.1]),
         springs=((1,),),
-        payload=True,
         dry=np.array([3.0, 2.0, 0.5]),
         torque=np.array([20.0, 30.0, 5.0]),
         mass=np.array([4.0, 3.0, 1.0]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from swung import columns, without, written
 
-from rrr_oc.recordings.faults import cut_off
+from rrr_oc.recordings.faults import cut_off, zeroed
 from rrr_oc.recordings.reader import load_recordings
 
 RIGHT = without(("ddq",), columns())
@@ -79,3 +79,13 @@ def test_no_motion_is_cut_off_whatever_its_resolution(levels):
         found = cut_off(step(np.clip(torque, -0.6, 0.6)))
         assert found.any()
         np.testing.assert_array_equal(found, np.abs(step(torque)) >= 0.6)
+
+
+@pytest.mark.parametrize("levels", [30, 1000, None])
+def test_a_dead_band_is_found_and_zeros_of_a_coarse_torque_are_none(levels):
+    t, rng = np.arange(0, 20, 0.01), np.random.default_rng(3)
+    torque = np.sin(t) + 0.4 * np.sin(2.3 * t + 1) + 0.001 * rng.standard_normal(t.size)
+    read = torque if levels is None else np.round(torque * levels) / levels
+    assert not zeroed(read).any()
+    dead = np.where(np.abs(read) < 0.2, 0.0, read)
+    np.testing.assert_array_equal(zeroed(dead), dead == 0)
