@@ -47,7 +47,7 @@ def test_a_page_says_what_the_file_declares(name):
 
 def test_every_unit_of_a_prior_is_said_in_words():
     one = np.ones(3)
-    view = View(0 * one, one, one, one, 1.0, one, np.ones((3, 1)), one, (), False, one, one, one)
+    view = View(0 * one, one, one, one, 1.0, one, np.ones((3, 1)), one, (), one, one, one)
     assert all(view.unit(unit, (0,)) > 0 for unit in effects.UNITS)  # a word for what is no unit is a KeyError
     assert {unit for kind in CATALOGUE.values() for _, unit in kind.prior.typical.values()} <= {"", *effects.UNITS}
 
