@@ -43,7 +43,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         low=low,
         high=np.maximum(high, low + 1e-3),
         speed=np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3),
-        usual_speed=np.array([np.median(v[v > REST_SPEED]) if np.any(v > REST_SPEED) else REST_SPEED for v in np.abs(dq)]),
+        usual_speed=np.min([_usual_speed(p.recording.dq) for p in prepared], axis=0),
         duration=max(float(p.recording.clock[-1]) for p in prepared),
         widths=widths,
         positions=positions,
@@ -54,6 +54,11 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         mass=np.maximum(model.robot.inertial[0], 1e-3),
         groups=tuple(dict.fromkeys(p.recording.group for p in prepared)),
     )
+
+
+def _usual_speed(dq: np.ndarray) -> np.ndarray:
+    """Median speed of each joint while it moves, of speeds (n, K), (n,) [rad/s]; infinite where it rests."""
+    return np.array([np.median(v[v > REST_SPEED]) if np.any(v > REST_SPEED) else np.inf for v in np.abs(dq)])
 
 
 def trials(seen: View, torque: str) -> list[Trial]:

@@ -97,7 +97,8 @@ class View:
 
     Attributes:
         low, high: Least and greatest position of each joint [rad], (n,).
-        speed, usual_speed: Largest speed of each joint, and its median while it moves [rad/s], (n,).
+        speed: Largest speed of each joint [rad/s], (n,).
+        usual_speed: Its median while it moves, in the recording in which that is least; infinite if it rests in all [rad/s], (n,).
         duration: Time at the end of the recordings, at most [s], as `Signals.time` counts it.
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).

@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from recorded import Plant, as_set, multisine, record
+from scipy.signal import lfilter
 
 from rrr_oc.calibration.calibrate import data_of
-from rrr_oc.calibration.estimator.data import low_frequency
+from rrr_oc.calibration.estimator.data import low_frequency, share_of_low_frequency
 from rrr_oc.calibration.estimator.fitting import PlainFitter, bent
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import prepare
@@ -54,6 +56,15 @@ def test_the_strength_of_noise_at_frequency_0_is_that_of_its_process():
     x = np.cos(0.01 * np.arange(count)) / np.sqrt(count / 2)
     left = y - x * (x @ y)
     assert low_frequency(left, np.arange(count), still, 2.5 * x[:, None]) > low_frequency(left, np.arange(count), still)
+
+
+def test_noise_along_a_sine_is_that_of_its_frequency():
+    """The spectrum of y_k = 0.6 y_k−1 + e_k at ω over that at 0 is 0.16 / |1 − 0.6 exp(−i ω)|²; rows that do not count are left out."""
+    rng, count, omega = np.random.default_rng(6), 20000, np.array([0.01, 0.5, 2.0])
+    y, still = lfilter([1.0], [1.0, -0.6], rng.standard_normal(count)), np.zeros(count, bool)
+    place = np.where(np.arange(count) < 100, -1, np.arange(count) - 100)
+    share = share_of_low_frequency(np.sin(omega * np.arange(count)[:, None]), y, place, still)
+    assert share == pytest.approx(0.16 / np.abs(1 - 0.6 * np.exp(-1j * omega)) ** 2, rel=0.05)
 
 
 def test_a_discrepancy_bends_parameters_as_least_squares_of_drawn_ones_are_bent():

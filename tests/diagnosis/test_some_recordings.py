@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, by_trial, record
+from recorded import Plant, as_set, by_trial, multisine, record
 
+from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import prepare
@@ -13,6 +14,8 @@ from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import folds_of
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.diagnosis.structures.search import StructureSearch
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.recordings.recording import Recording
@@ -39,6 +42,25 @@ def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it
     (finding,) = diagnose(as_set(plant, offset)).findings
     assert (finding.term.effect, finding.term.groups) == (TorqueOffset((0,)), () if everywhere else ("a",))
     assert finding.term.values == pytest.approx([-2.0], rel=0.02)
+
+
+def test_a_spring_that_is_slack_in_one_recording_is_that_of_all(planar):
+    """What a trial of another equilibrium ruled out there, the fitted spring allows."""
+    plant, rng, made = planar(1), np.random.default_rng(4), []
+    for k in range(4):
+        q, dq, ddq = (np.array([1.0, 1.0, 1.0, 0.3])[k] * x for x in multisine(1, np.arange(800) / 100, rng))
+        r = record(plant, f"{k}.csv", rng, 8.0, motion=(q, dq, ddq))
+        made.append(replace(r, tau=r.tau + 8.0 * np.maximum(r.q - 0.35, 0.0), group=str(k)))  # [Nm], [rad]
+    assert made[3].q.max() < 0.35 < min(r.q.max() for r in made[:3])
+    _, fitter, every, plain = ready(as_set(plant, made), Priors())
+    effect = ParallelSpring((0,), active="above")
+    width = next(t.width for t in every if t.effect == effect)
+    law = Term(effect, (Estimate(7.0), Estimate(0.3)), width, (), ("0", "1", "2"))
+    fit = fitter.fit(replace(plain, terms=(*plain.terms, law)), fitter.data.links.none)
+    search = StructureSearch.of(fitter, [t for t in every if isinstance(t.effect, ParallelSpring)])
+    (spring,) = search.run(fit).fitted.extra
+    assert (spring.effect, spring.recordings, spring.groups) == (effect, "all", ())
+    assert spring.values == pytest.approx([8.0, 0.35], rel=0.05)
 
 
 @pytest.mark.parametrize("change", ["payload", "gain"])

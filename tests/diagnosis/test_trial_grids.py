@@ -94,3 +94,18 @@ def test_a_spring_across_two_joints_is_seen_however_seldom_it_is_taut(seen, taut
         some.append(kind.trial(view, rho=0.75, phi=float(np.quantile(stretch, 1 - taut))))
         others.append([t for t in seen.trials if t.effect == kind])
     assert min(seen.shares(some, others)) > SEEN
+
+
+def test_ripples_are_tried_that_the_slowest_recording_shows(planar):
+    """What is too fast for the filter in fast motion passes it where the joint moves ten times slower."""
+    plant, t, made = planar(1), np.arange(1000) / 100, []
+    for k, speed in enumerate((1.0, 0.1)):
+        motion = tuple(np.array([x]) for x in (speed * t, speed + 0 * t, 0 * t))
+        made.append(record(plant, f"{k}.csv", np.random.default_rng(k), motion=motion))
+
+    def fastest(recordings) -> float:
+        _, _, every, _ = ready(as_set(plant, recordings), Priors())
+        return max(p["order"] for t in every if t.effect.name == "torque_ripple" for p in t.points)
+
+    assert fastest(made) == fastest(made[1:])
+    assert fastest(made) > 9 * fastest(made[:1])

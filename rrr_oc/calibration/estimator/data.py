@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import toeplitz
 from scipy.sparse import csr_matrix
+from scipy.sparse.linalg import spsolve_triangular
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY, PAST
@@ -357,6 +358,20 @@ def low_frequency(residual: np.ndarray, place: np.ndarray, turning: np.ndarray, 
     columns = residual[:, None] if taken is None else np.column_stack([residual, taken])
     square = np.sum((noise.whitening(place, turning)[0] @ columns) ** 2) / max(np.count_nonzero(place >= 0), 1)
     return max(float(np.sqrt(square)) / (1 - float(noise.filters[-1].sum())), 1e-9)
+
+
+def share_of_low_frequency(
+    columns: np.ndarray, residual: np.ndarray, place: np.ndarray, turning: np.ndarray, taken: np.ndarray | None = None
+) -> np.ndarray:
+    """Variance of the noise along columns (M, c), over that of the white noise of `low_frequency`, (c,); arguments as there.
+
+    It is 1 for what is slow, and small for what is faster than most of what is left.
+    """
+    noise, counted = Noise.of(residual, place, turning, taken, PAST), place >= 0
+    white = noise.whitening(place, turning)[0][counted][:, counted]
+    along = spsolve_triangular(white.T.tocsr(), columns[counted], lower=False)
+    squares = np.sum(along**2, axis=0) / np.maximum(np.sum(columns[counted] ** 2, axis=0), 1e-300)
+    return squares * (1 - float(noise.filters[-1].sum())) ** 2
 
 
 def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndarray:

@@ -5,12 +5,13 @@ The one estimator: of a calibration, whose model has plain terms alone, and of a
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
+from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency, share_of_low_frequency
 from rrr_oc.calibration.estimator.evidence import (
     LEAST,
     Hyperparameters,
@@ -251,25 +252,33 @@ class PlainFitter:
         Where a law is missing, noise and discrepancy take up what other parameters would explain in part, and the likeliest parameters
         are not those that predict best. Those of least squares estimate the model of the least distance from what is true (L2
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum in slow motion of what is left, as friction and inertia
-        are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
+        are seen in slow motion. Of effects that are faster, the prior and the covariance are of the noise along them. The discrepancy,
+        of the likeliest size, bends them beside the noise.
         """
         near = self.least_squares(fitted)
+        shares = noise_along_effects(self.data, near)
         cleared = self.data.in_noise(at_low_frequency(self.data, near).sigma)
-        found = replace(self, data=cleared, holds_delays=True).least_squares(near, fitted)
+        found = replace(self, data=cleared, holds_delays=True).least_squares(near, fitted, shares)
         of_noise, of_loops = bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)
         of_noise = np.hstack([of_noise, of_loops]) if of_loops.size else of_noise
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
-        whole = replace(found.posterior, data=self.data, residual=residual, columns=columns)
+        each, plain = np.ones(len(found.posterior.step)), self.data.start.offsets[-1]
+        numbers = [len(t.values) for t in found.extra]
+        each[plain : plain + sum(numbers)] = np.repeat(shares, numbers) ** -0.5
+        matrix = each[:, None] * found.posterior.matrix * each
+        whole = replace(found.posterior, data=self.data, residual=residual, columns=columns, matrix=matrix)
         std, number = std_by_blocks(found.posterior)
         std[delays_of(near)] = np.sqrt(variances_of_delays(near))  # rows without the time of reversals tell less of delays
         return replace(found, posterior=whole, residual=residual, bent=of_noise, by_blocks=(std, number))
 
-    def least_squares(self, fitted: Fitted, likeliest: Fitted | None = None) -> Fitted:
+    def least_squares(self, fitted: Fitted, likeliest: Fitted | None = None, shares: np.ndarray | None = None) -> Fitted:
         """The fit whose noise is white, as strong as that of a fit in slow motion, without a discrepancy.
 
-        Effects keep the width of the prior that they have in the likeliest fit, which is the first one by default.
+        Effects keep the width of the prior that they have in the likeliest fit, which is the first one by default; where the noise along
+        them is a share of that, (m,), their prior has the same share of its precision.
         """
-        last, kept = np.inf, replace(self, wide=self.widths_of_priors((likeliest or fitted).extra))
+        widths = np.array(self.widths_of_priors((likeliest or fitted).extra))
+        last, kept = np.inf, replace(self, wide=tuple(widths if shares is None else widths / np.sqrt(shares)))
         for _ in range(CLOSER):
             start = NoiseStart.of(self.data, at_low_frequency(self.data, fitted))
             fitted = kept.fit(fitted.model, fitted.links, start, fixed=True)
@@ -378,6 +387,25 @@ def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
         for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
     ]
     return Hyperparameters((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.hyper.links)
+
+
+def noise_along_effects(data: Data, fitted: Fitted) -> np.ndarray:
+    """Variance of the noise along each effect beyond the plain terms, over that in slow motion, at most 1, (m,).
+
+    Of an effect with several parameters that of the one along which it is largest.
+    """
+    post, plain = fitted.posterior, fitted.model.offsets[fitted.base]
+    size, root = len(fitted.model.values), root_of_covariance(post.matrix)
+    noise, squares = np.zeros(size - plain), np.zeros(size - plain)
+    for j, sigma in enumerate(post.hyper.sigma):
+        own, place = post.columns[j][:, plain:size], data.place[j]
+        if own[place >= 0].any():
+            taken = (post.columns[j] @ root) * (place >= 0)[:, None]
+            weights = np.sum(own[place >= 0] ** 2, axis=0) / sigma**2
+            noise += weights * share_of_low_frequency(own, fitted.residual[j], place, data.turning[j], taken)
+            squares += weights
+    each = np.where(squares > 0, noise / np.maximum(squares, 1e-300), 1.0)
+    return np.array([min(each[a - plain : b - plain].max(), 1.0) for a, b in pairwise(fitted.model.offsets[fitted.base :])])
 
 
 def bent(post: Posterior, size: np.ndarray) -> np.ndarray:

@@ -139,7 +139,7 @@ class StructureSearch:
                 part.path.append(better)
             there = self.scored(self._on_all(part.path[-1].fitted, start.posterior))
             self.path += [there] if there.score > self.path[0].score else []
-        while (better := self._better(self.path[-1]) or self._reformed(self.path[-1])) is not None:
+        while (better := self._better(at := self.path[-1]) or self._reformed(at) or self._in_all(at)) is not None:
             self.path.append(better)
         return self.path[-1]
 
@@ -326,6 +326,25 @@ class StructureSearch:
         some = [i for i, t in enumerate(at.fitted.extra) if not isinstance(t.effect, MovesLink)]
         better = self._from_other_starts(at, some)
         return better if better.score > at.score + LEAST_GAIN else None
+
+    def _in_all(self, at: FittedStructure) -> FittedStructure | None:
+        """The best fit with one of the effects of some groups in all of them, if it is more probable: a trial of another shape may have
+        ruled out groups in which the fitted law changes nothing."""
+        best, post, base = at, at.fitted.posterior, at.fitted.base
+        for i, term in enumerate(at.fitted.extra):
+            elsewhere = term.groups and term.effect.partly < 1  # others hold for single groups only
+            if not elsewhere or len(overlapping(term.effect, None, self.neighbours(at.fitted).linear.own)) > 1:
+                continue
+            terms = list(at.fitted.model.terms)
+            terms[base + i] = replace(term, recordings="all", groups=())
+            wanted = best.fitted.log_evidence - CLOSE
+            near = self._on_few(replace(at.fitted.model, terms=tuple(terms)), at.fitted.links, post)
+            other = self.scored(self._on_all(near, post, wanted=wanted))
+            best = other if other.score > best.score else best
+        if best is at:
+            return None
+        self.report(_said(at.fitted, best.fitted), len(self.visited))
+        return best
 
     def _from_other_starts(self, at: FittedStructure, some: Sequence[int]) -> FittedStructure:
         post, alike = at.fitted.posterior, self.few is self.fitter

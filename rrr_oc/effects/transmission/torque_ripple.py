@@ -73,5 +73,5 @@ def _order(view: View, j: int, cycles: float) -> int:
 
 
 def _fastest(view: View, j: int) -> int:
-    """The least whole order that is too fast for the filter at the joint's usual speed."""
+    """The least whole order that is too fast for the filter at the joint's usual speed in its slowest recording."""
     return int(np.ceil(2 * np.pi * FASTEST / view.usual_speed[j]))
