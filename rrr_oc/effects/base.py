@@ -91,6 +91,12 @@ class Prior:
     where_exact: float = 1.0
 
 
+def canonical_wave(theta: Mapping[str, float]) -> dict[str, float]:
+    """Parameters of a wave, amplitude · sin(order q ± phase), with an amplitude above 0 and a phase within ±π."""
+    phase = theta["phase"] + (np.pi if theta["amplitude"] < 0 else 0.0)
+    return {**theta, "amplitude": abs(theta["amplitude"]), "phase": float(np.angle(np.exp(1j * phase)))}
+
+
 @dataclass(frozen=True)
 class View:
     """What recordings show of an arm, so that effects can say where and how they might be present.

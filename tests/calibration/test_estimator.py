@@ -8,10 +8,14 @@ from recorded import Plant, as_set, multisine, record
 from scipy.signal import lfilter
 
 from rrr_oc.calibration.calibrate import data_of
+from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.estimator.data import low_frequency, share_of_low_frequency
 from rrr_oc.calibration.estimator.fitting import PlainFitter, bent
+from rrr_oc.calibration.estimator.intervals import canonical
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import prepare
+from rrr_oc.effects.friction.position_dependent_friction import PositionDependentFriction
+from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 
 
 def fitter_of(recordings) -> tuple[PlainFitter, object]:
@@ -84,3 +88,12 @@ def test_a_discrepancy_bends_parameters_as_least_squares_of_drawn_ones_are_bent(
     steps = np.linalg.lstsq(design / scale, np.vstack([*drawn, np.zeros((len(scale), draws))]), rcond=1e-12)[0] / scale[:, None]
     expected = np.linalg.norm(bent(post, size), axis=1)
     np.testing.assert_allclose(np.sqrt(np.mean(steps**2, axis=1)), expected, rtol=0.15, atol=1e-12)
+
+
+@pytest.mark.parametrize("effect", [TorqueRipple((0,)), PositionDependentFriction((0,))])
+def test_the_interval_of_what_has_no_sign_ends_at_0(effect):
+    """A wave of a negative amplitude is one of the opposite phase."""
+    term = Term(effect, (Estimate(-0.1, 0.1, (-0.3, 0.1)), Estimate(2.0), Estimate(0.3)), effect.width)
+    amplitude, _, phase = canonical(term).estimates
+    assert (amplitude.value, *amplitude.interval) == pytest.approx((0.1, 0.0, 0.3))
+    assert phase.value == pytest.approx(0.3 - np.pi)

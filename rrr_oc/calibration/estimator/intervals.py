@@ -104,7 +104,7 @@ def undetermined(fitted: Fitted) -> np.ndarray:
 
 
 def canonical(term: Term) -> Term:
-    """The term with parameters in their usual range."""
+    """The term with parameters in their usual range, and intervals of what has no sign cut at 0."""
     named = term.effect.canonical(term.named)
     estimates = []
     for p, e in zip(term.effect.parameters, term.estimates, strict=True):
@@ -113,6 +113,8 @@ def canonical(term: Term) -> Term:
         interval = None if e.interval is None else (e.interval[0] + shift, e.interval[1] + shift)
         if p.name in term.effect.amplitudes and value == -e.value and e.interval is not None:
             interval = -e.interval[1], -e.interval[0]
+        if interval is not None and value > 0 and term.effect.canonical({**named, p.name: -value})[p.name] == value:
+            interval = max(interval[0], 0.0), interval[1]
         estimates.append(replace(e, value=value, interval=interval))
     return replace(term, estimates=tuple(estimates))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior, Trial
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior, Trial, canonical_wave
 from rrr_oc.effects.words import periodic
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
@@ -43,6 +43,9 @@ class PositionDependentFriction(Effect):
                 points = tuple({"amplitude": 1.0, "order": cycles * turn, "phase": phase} for phase in (0.0, np.pi / 2))
                 effect = cls((j,))
                 yield Trial(effect, points, width=effect.sign_width(view))
+
+    def canonical(self, theta):
+        return canonical_wave(theta)
 
     def combined(self, points, coefficients):
         """c_0 cos x + c_1 sin x as one cosine."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Prior, Trial, View
+from rrr_oc.effects.base import Prior, Trial, View, canonical_wave
 from rrr_oc.effects.capabilities import ExportTwin
 from rrr_oc.effects.words import periodic
 from rrr_oc.numerics.smooth import sin
@@ -57,9 +57,7 @@ class TorqueRipple(ExportTwin):
             yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
     def canonical(self, theta):
-        """Amplitude above 0, phase within ±π."""
-        phase = theta["phase"] + (np.pi if theta["amplitude"] < 0 else 0.0)
-        return {**theta, "amplitude": abs(theta["amplitude"]), "phase": float(np.angle(np.exp(1j * phase)))}
+        return canonical_wave(theta)
 
     def combined(self, points, coefficients):
         """c_0 sin x + c_1 cos x as one sine."""
