@@ -166,4 +166,5 @@ def _excitation(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
 
 def _noise(torque: np.ndarray) -> np.ndarray:
     """Standard deviation of white noise in torques (n, K), from their second differences, (n,); steps and spikes are none."""
-    return np.quantile(np.abs(np.diff(torque, 2, axis=1)), 0.683, axis=1) / np.sqrt(6)
+    second = np.diff(torque, 2, axis=1)
+    return np.minimum(np.std(second, axis=1), np.quantile(np.abs(second), 0.683, axis=1)) / np.sqrt(6)
