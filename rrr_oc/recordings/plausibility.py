@@ -102,11 +102,11 @@ def check_alike(steps: Mapping[str, float]) -> None:
         )
 
 
-def check_positions(where: str, robot: Robot, q: np.ndarray) -> None:
-    """Raise `UserError` where a joint's positions q (n, K) span far more than its range in radians, and say what they look like."""
+def check_positions(where: str, robot: Robot, q: np.ndarray, least: float = 0.0) -> None:
+    """Raise `UserError` where positions q (n, K) span far more than a joint's range, and `least` [rad], and say what they look like."""
     for i, joint in enumerate(robot.joints):
         low, high, room = float(q[i].min()), float(q[i].max()), float(robot.upper[i] - robot.lower[i])
-        if not (np.isfinite(room) and high - low > 2 * room and max(-low, high) > 2 * np.pi):
+        if not (np.isfinite(room) and high - low > max(2 * room, least) and max(-low, high) > 2 * np.pi):
             continue
         inside = bool(low / DEGREES > robot.lower[i] - room / 2 and high / DEGREES < robot.upper[i] + room / 2)
         whole = bool(np.all(q[i] == np.round(q[i])))

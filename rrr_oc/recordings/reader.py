@@ -94,7 +94,8 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
         columns.setdefault("payload", np.full(len(rows), entry.payload))
         plausibility.check_magnitudes(str(path), columns)
         if header.coupled("q") is None:  # before turns are taken off
-            plausibility.check_positions(str(path), robot, np.array([columns[f"q_{joint}"] for joint in robot.joints]))
+            raw = np.array([columns[f"q_{joint}"] for joint in robot.joints])
+            plausibility.check_positions(str(path), robot, raw, 4 * np.pi)  # turns of an encoder are fewer
         segments = _split(columns, robot.joints, mended)
         turned = _unwrap(columns, robot.joints, segments)
         _fill_updates(columns, robot.joints, segments, mended)
