@@ -67,7 +67,8 @@ class Prepared:
         recording: The recording with speeds and accelerations from short windows.
         measured: Recorded torque at the joints' output (n, K) [Nm].
         moving: Where each joint moves and no window of its motion reaches into a rest, (n, K). At rest, dry friction takes any
-            value below its level, so samples at rest do not count; nor do those at which the recorded torque is cut off, or 0 in a dead band.
+            value below its level, so samples at rest do not count; nor do those at which the recorded torque is cut off, or 0 in a dead
+            band, or a motor gives less than its loop asks for.
         window: Window of the common filter [s].
         spikes: Number of samples of `measured` that were replaced, (n,).
     """
@@ -131,7 +132,9 @@ def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared,
             )
     sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
     spikes = np.zeros(recordings.robot.n, int)
-    found = tuple(Prepared(r, recordings.output_torque(r), _moving(r) & ~_cut(r), window, spikes) for r in sharp)
+    found = tuple(
+        Prepared(r, recordings.output_torque(r), _moving(r) & ~_cut(r) & ~recordings.clipped(r), window, spikes) for r in sharp
+    )
     low, high = (f([f(p.measured, axis=1) for p in found], axis=0) for f in (np.min, np.max))
     for j in np.flatnonzero((low == high) & np.any([p.moving.any(axis=1) for p in found], axis=0))[:1]:
         said = f"the torque of {recordings.joints[j]} is {low[j] + 0.0:g} Nm in every sample while the joint moves"

@@ -20,6 +20,8 @@ def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None
     output = Output(quiet, as_json)
     recordings = loaded(dataset, output)
     found = doubted(recordings, output)
+    from rrr_oc.recordings.mends import BAD  # with what `doubted` has imported
+
     by_joint = {joint: x if np.isfinite(x) else None for joint, x in zip(recordings.joints, found.nrmse, strict=True)}
     said = [asdict(doubt) for doubt in found.doubts]
     output.result(plain({"doubts": said, "notes": recordings.notes, "nrmse": by_joint, "diagnosis_s": found.diagnosis_s}))
@@ -29,11 +31,20 @@ def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None
     output.show(table)
     poor = [joint for joint, nrmse in by_joint.items() if nrmse is not None and nrmse > WORTHLESS]
     if poor:
-        output.note(
-            f"Warning: the rigid arm explains the torque of {', '.join(poor)} no better than a constant does. Check masses, gravity, tool "
-            "and payload; if they are right, physics is missing there, and rrr-oc diagnose says which."
+        checked = (
+            "kp, kd, " * (recordings.torque == "command") + "units and signs, masses and inertias, gravity, tool and payload"
         )
+        output.note(
+            f"Warning: the rigid arm explains the torque of {', '.join(poor)} no better than a constant does. Check {checked}; if "
+            "they are right, physics is missing there, and rrr-oc diagnose says which."
+        )
+    weak = [joint for joint, nrmse in by_joint.items() if nrmse is not None and nrmse > BAD]
     if not (poor or found.doubts):
-        output.show("No column contradicts another or the robot.")
+        badly = (
+            f", but the rigid arm explains the torque of {', '.join(weak)} badly, and no single mistake says why"
+            if weak
+            else ""
+        )
+        output.show(f"No column contradicts another or the robot{badly}.")
     low, high = found.diagnosis_s
     output.show(f"A diagnosis takes {low:.0f} to {high:.0f} s of processor time, the less the fewer effects are missing.")

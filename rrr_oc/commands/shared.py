@@ -106,7 +106,7 @@ def unexplained_torques(model: CalibratedModel) -> list[str]:
     for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
         if not nrmse <= WORTHLESS:
             found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
-            mend = "Check units, signs and the order of columns, and gravity, tool and payload"
+            mend = "Check units, signs and the order of columns, gains of a loop, masses, gravity, tool and payload"
             warnings.append(f"Warning: the torque of {joint} {found}. {mend}")
     return warnings
 

@@ -20,6 +20,8 @@ from rrr_oc.robot.rigid_body import rigid_body
 SAMPLES = 600  # of all recordings together that are compared; doubled, the check takes twice as long
 WIDTH = 0.02  # [rad/s] over which dry friction changes sign; doubled, slow motions fit a little worse
 LEAST_LOAD = 0.3  # share of a torque's deviation that the arm's must have to tell its unit; doubled, geared arms have none
+# Times its error that a load must be, beside friction and braking, to tell what kp makes of commands; doubled, weak joints need a kp
+TOLD = 1.0
 # Most rotor inertia, over the link's own and over the arm's largest; doubled, springs pass for it in slow sweeps
 ROTOR = 30.0, 0.3
 
@@ -60,12 +62,13 @@ class Samples:
 
     @classmethod
     def of(cls, recordings: RecordingSet) -> "Samples":
-        """`SAMPLES` of all recordings together, at least a few of each."""
+        """`SAMPLES` of all recordings together, at least a few of each; none where a motor gives less than its loop asks for."""
         total = sum(len(r.t) for r in recordings.recordings)
         counts = [max(8, round(SAMPLES * len(r.t) / total)) for r in recordings.recordings]
+        usable = [np.flatnonzero(~recordings.clipped(r).any(axis=0)) for r in recordings.recordings]
         rows = (
-            np.unique(np.linspace(0, len(r.t) - 1, count).round().astype(int))
-            for r, count in zip(recordings.recordings, counts, strict=True)
+            kept[np.unique(np.linspace(0, len(kept) - 1, count).round().astype(int))] if len(kept) else kept
+            for kept, count in zip(usable, counts, strict=True)
         )
         return cls(recordings, tuple(rows))
 
@@ -182,15 +185,30 @@ class Comparison:
         return ROTOR[0] * links + ROTOR[1] * np.max(links)
 
     def factors(self, reading: Reading) -> np.ndarray:
-        """How many times the arm's torque each recorded one is, (n,); NaN where the arm's hardly changes or does not explain it."""
+        """How many times the arm's torque each recorded one is, (n,); NaN where the arm's hardly changes or does not explain it.
+
+        What a loop brakes may be most of its torque; there the load need only be more than what is left unexplained.
+        """
         load, columns = self._motion(reading)
-        tau = self.samples.read(reading, self.samples.torque)
-        found = []
+        tau, by_loop = self.samples.read(reading, self.samples.torque), self.samples.recordings.torque == "command"
+        result = []
         for j in range(len(tau)):
-            solution, size = _least(np.column_stack([load[j], columns[j]]), tau[j])[0], float(np.std(tau[j]))
-            explained = size > 0 and float(np.std(solution[0] * load[j])) > LEAST_LOAD * size
-            found.append(float(solution[0]) if explained else np.nan)
-        return np.array(found)
+            solution, left = _least(np.column_stack([load[j], columns[j]]), tau[j])
+            own, least = solution[0] * load[j], LEAST_LOAD * float(np.std(tau[j]))
+            if by_loop:
+                own, least = _beside(columns[j], own), TOLD * left / np.sqrt(len(own))
+            result.append(float(solution[0]) if np.std(own) > least else np.nan)
+        return np.array(result)
+
+    @cached_property
+    def without_braking(self) -> "Comparison":
+        """The comparison with loops that have no kd, which is a part of viscous friction there; itself where there are no loops."""
+        recordings = self.samples.recordings
+        if recordings.torque != "command":
+            return self
+        loops = [r.loop and replace(r.loop, kd=np.zeros_like(r.loop.kd)) for r in recordings.recordings]
+        free = tuple(replace(r, loop=loop) for r, loop in zip(recordings.recordings, loops, strict=True))
+        return Comparison(replace(self.samples, recordings=replace(recordings, recordings=free)), self.springs)
 
     def share_of(self, reading: Reading, load: np.ndarray) -> float:
         """How many times a load torque (n, K) is missing: by least squares over all joints, beside their friction and offset."""
@@ -199,8 +217,7 @@ class Comparison:
         products = np.zeros(2)
         for j, size in enumerate(np.std(tau, axis=1)):
             if size > 0:
-                basis = np.linalg.svd(columns[j], full_matrices=False)[0]
-                x, y = (z - basis @ (basis.T @ z) for z in (load[j] / size, (tau[j] - own[j]) / size))
+                x, y = (_beside(columns[j], z) for z in (load[j] / size, (tau[j] - own[j]) / size))
                 products += x @ x, x @ y
         return float(products[1] / products[0]) if products[0] > 0 else 0.0
 
@@ -231,6 +248,13 @@ def _drive(j: int, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray
     effects, signals = [kind((j,)) for kind in kinds], Signals(q, dq, ddq)
     columns = [-effect.torque(signals, {p.name: 1.0}, WIDTH)[0] for effect in effects for p in effect.parameters]
     return np.column_stack([*columns, np.ones(q.shape[1]), -np.ones(q.shape[1])])
+
+
+def _beside(columns: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The part of x (K,) that no multiples of the columns (K, p) are."""
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = left[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
+    return x - basis @ (basis.T @ x)
 
 
 def _both_ways(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -88,7 +88,7 @@ def _mend(rigid: Comparison, compared: Comparison) -> tuple[Hypothesis, tuple[st
 def _poor(rigid: Comparison, compared: Comparison) -> tuple[np.ndarray, np.ndarray]:
     """The joints' errors, (n,), and which of them are poor; a torque of another size than the arm's is no better than a constant."""
     given = Reading.as_given(compared.samples.recordings.robot.n)
-    far = mends.far_factors(rigid.factors(given)) if compared.nominal else np.zeros(len(given.zero), bool)
+    far = mends.far_factors(rigid.without_braking.factors(given)) if compared.nominal else np.zeros(len(given.zero), bool)
     before = compared.nrmse(given)
     before = np.where(far, np.maximum(before, 1.0), before)
     return before, before > BAD
@@ -165,5 +165,6 @@ def _excitation(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
 
 
 def _noise(torque: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise in torques (n, K), from their second differences, (n,)."""
-    return np.std(np.diff(torque, 2, axis=1), axis=1) / np.sqrt(6)
+    """Standard deviation of white noise in torques (n, K), from their second differences, (n,); steps and spikes are none."""
+    second = np.diff(torque, 2, axis=1)
+    return np.minimum(np.std(second, axis=1), np.quantile(np.abs(second), 0.683, axis=1)) / np.sqrt(6)

@@ -88,9 +88,14 @@ class Table:
     def _row(self, number: int, content: str, indices: Sequence[int]) -> list[float]:
         cells = content.split(self.delimiter)
         if len(cells) != len(self.names):
+            commas = (
+                "; decimal commas need ; or tabs between cells"
+                if self.delimiter == "," and len(cells) == 2 * len(self.names)
+                else ""
+            )
             raise UserError(
                 f"{self.path}, line {number}: {len(cells)} {'cell' if len(cells) == 1 else 'cells'}, "
-                f"but the header names {len(self.names)} columns; every row needs one cell per column"
+                f"but the header names {len(self.names)} columns; every row needs one cell per column{commas}"
             )
         return [self._cell(number, i, cells[i].strip()) for i in indices]
 

@@ -1,5 +1,6 @@
 """Faults of sensors, drivers and files that leave every column possible: what is told of them, a part of a sentence each."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ CUT_LEVEL, CUT_TIMES = (
 # Sizes of a torque from which its resolution is known, and times this, a gap about 0 that makes a dead band; doubled, small ones stay
 LEVELS, BAND = 8, 3.0
 # Times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
-SPIKE, USUAL = 10.0, 0.99
+SPIKE, USUAL = 10.0, 0.9
 FAR = 5.0  # steps from sample to sample, usual ones or around it, below which a deviation is none; doubled, small spikes stay
 AGAIN = 0.5  # share of a recording's rows that stand in another one; doubled, copies of the half pass
 
@@ -114,16 +115,38 @@ def zeroed(torque: np.ndarray) -> np.ndarray:
     return at & (band > BAND * step) & (np.sum(at) > above / ALIKE)
 
 
-def spikes(q: np.ndarray) -> np.ndarray:
-    """Where a position (K,) [rad] jumps away for one or two samples and back, as after a bit that was read wrongly, (K,).
+def unsigned(torques: Sequence[np.ndarray], speeds: Sequence[np.ndarray]) -> bool:
+    """Whether torques (K,) of a joint that moves both ways, at speeds (K,), look like magnitudes: many are near 0, and none below."""
+    tau, dq = np.concatenate(torques), np.concatenate(speeds)
+    largest = float(np.max(tau))
+    both = min(np.mean(dq > 0), np.mean(dq < 0)) > CUT_ROWS
+    return bool(largest > 0 and np.min(tau) >= 0 and both and np.mean(tau < CUT_LEVEL * largest) > CUT_ROWS / ALIKE)
 
-    A motion that goes on equals its running median, whatever its speed; what is a whole turn off is unwrapped instead.
+
+def spikes(q: np.ndarray, turn: float = np.inf) -> np.ndarray:
+    """Where a position [rad], or a torque, (K,) jumps away for one or two samples and back, as after a bit that was read wrongly, (K,).
+
+    A motion that goes on equals its running median, whatever its speed; a position that is a whole turn off is unwrapped instead.
     """
     steps, off = np.abs(np.diff(q, prepend=q[:1])), np.abs(q - median_filter(q, 5, mode="nearest"))
-    off = np.abs(off - 2 * np.pi * np.round(off / (2 * np.pi)))
+    if np.isfinite(turn):
+        off = np.abs(off - turn * np.round(off / turn))
     usual = float(np.median(steps[steps > 0])) if steps.any() else np.inf
     around = np.maximum(median_filter(steps, 11, mode="nearest"), usual)
     return (off > SPIKE * float(np.quantile(off, USUAL))) & (off > FAR * around)
+
+
+def stays(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Where a position (K,) [rad] keeps its last value for a while and then jumps, as of an encoder or a bus that stood still, (K,)."""
+    result, known = np.zeros(len(q), bool), np.flatnonzero(np.isfinite(q))
+    steps = np.abs(np.diff(q[known]))
+    usual = float(np.quantile(steps, 0.99)) if len(steps) else 0.0
+    changes = np.flatnonzero(steps > 0)
+    for before, after in itertools.pairwise([-1, *changes.tolist()]):
+        stay = known[before + 2 : after + 1]  # without the row that was read
+        if len(stay) and t[stay[-1]] - t[stay[0]] > FROZEN and steps[after] > max(FAR * usual, MOVED):
+            result[stay] = True
+    return result
 
 
 def repeated(rows: Sequence[np.ndarray]) -> list[tuple[int, int, float]]:

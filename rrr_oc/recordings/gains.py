@@ -38,8 +38,8 @@ def with_gains(file: Path, recordings: RecordingSet) -> RecordingSet:
     found = [joint for joint, one in zip(recordings.joints, kp, strict=True) if joint in joints and not np.isfinite(one)]
     if found:
         raise UserError(
-            f"{file}: kp of {', '.join(found)} is not known, and cannot be told: by the masses of the robot's file its load hardly changes; "
-            "a kp, or recordings in which gravity or a known payload loads it, are required"
+            f"{file}: kp of {', '.join(found)} is not known, and cannot be told: by the masses of the robot's file its load hardly changes, or "
+            "does not explain the commands; a kp, or recordings in which gravity or a known payload loads it, are required"
         )
     changed = []
     for r, without in zip(recordings.recordings, unknown, strict=True):

@@ -39,6 +39,7 @@ FINER = np.radians([10, 5, 2, 1, 0.5])  # steps by which the best of them is mov
 LEAST_ZERO = np.radians(3)  # that is said; smaller ones are the diagnosis' to find
 LEAST_SHIFT = 0.03  # [m] by which a zero moves the centre of what turns: a file's error of three usual deviations; doubled, large zeros pass
 WEIGHT = (0.5, 2.0)  # a link's mass over the file's between which it is left to the diagnosis
+UNITS_OF_GAINS = {1 / DEGREES: "Nm/°"}
 SIDES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -284,9 +285,17 @@ def _rows(matrix: np.ndarray) -> str:
 
 
 def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
-    """Torques that are a multiple of the arm's which no gain explains; of all joints together if they are alike."""
+    """Torques that are a multiple of the arm's which no gain explains; of all joints together if they are alike.
+
+    Of commands they are told by kp alone, since kd moves the arm as friction does.
+    """
     recordings = compared.samples.recordings
     names, torque, n = recordings.joints, torque_column(recordings), len(recordings.joints)
+    rigid, compared, loops = rigid.without_braking, compared.without_braking, torque == "command"
+    if loops:
+        said = "what kp and kd make of commands fits with a smaller kd than is listed"
+        columns = tuple(f"command_{joint}" for joint in names)
+        yield Hypothesis((Mistake("unit", columns, said),), compared.nrmse(Reading.as_given(n)))
     for sign, opposite in ((1.0, ""), (-1.0, "minus ")):
         factors = rigid.factors(replace(Reading.as_given(n), tau=sign * np.eye(n)))
         far = far_factors(factors)
@@ -297,16 +306,15 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
         reading = replace(Reading.as_given(n), tau=sign * np.eye(n))
         if n > 1 and np.ptp(known) < ALIKE:
             tau = tuple(f"{torque}_{joint}" for joint in names)
-            said = f"all torques are {opposite}{scale:.3g} times those that the arm needs{_unit(scale)}: divided by that"
+            what = "kp of all joints is" if loops else "all torques are"
+            said = f"{what} {opposite}{scale:.3g} times {_needed(scale, loops)}"
             heavier = (f"all links are {scale:.3g} times as heavy as in the robot's file",) * (sign > 0)
             yield Hypothesis((Mistake("unit", tau, said),), compared.nrmse(reading, scale=1 / scale), equals=heavier)
             if len(known) == n:
                 continue
         for j in np.flatnonzero(far).tolist():
-            what = f"{torque}_{names[j]}" if torque != "command" else f"what kp and kd make of command_{names[j]}"
-            said = (
-                f"{what} is {opposite}{factors[j]:.3g} times the torque that the arm needs{_unit(factors[j])}: divided by that"
-            )
+            what = f"kp of {names[j]}" if loops else f"{torque}_{names[j]}"
+            said = f"{what} is {opposite}{factors[j]:.3g} times {_needed(factors[j], loops)}"
             mistakes.append(Mistake("unit", (f"{torque}_{names[j]}",), said, j))
         each = np.where(far, factors, 1.0)
         yield Hypothesis(tuple(mistakes), compared.nrmse(reading, scale=1 / each[:, None]))
@@ -318,8 +326,11 @@ def far_factors(factors: np.ndarray) -> np.ndarray:
         return (factors > 0) & ~((factors > SCALES[0]) & (factors < SCALES[1]))
 
 
-def _unit(factor: float) -> str:
-    return next((f", as if in {unit}" for of, unit in UNITS.items() if abs(factor / of - 1) < 0.1), "")
+def _needed(factor: float, loops: bool) -> str:
+    """What torques, or kp of loops, are so many times, the unit that explains it, and the mend."""
+    units = UNITS_OF_GAINS if loops else UNITS
+    unit = next((f", as if in {unit}" for of, unit in units.items() if abs(factor / of - 1) < 0.1), "")
+    return f"what the arm needs{unit}: divided by that"
 
 
 def _zeros(compared: Comparison) -> Iterator[Hypothesis]:
@@ -405,4 +416,4 @@ def _links(compared: Comparison) -> Iterator[Hypothesis]:
             after = compared.nrmse(given, more=(times - 1) * own)
             said = f"the torques fit when {link} is {times:.3g} times as heavy as in the robot's file ({robot.inertial[0, k]:.3g} kg)"
             told = f'{said}; "inertial": "identify" estimates it'
-            yield Hypothesis((Mistake("robot", (), told),), after)
+            yield Hypothesis((Mistake("robot", (), told),), after, equals=("torques are in another unit than the header says",))

@@ -102,16 +102,19 @@ def check_alike(steps: Mapping[str, float]) -> None:
         )
 
 
-def check_positions(where: str, robot: Robot, q: np.ndarray) -> None:
-    """Raise `UserError` where a joint's positions q (n, K) fit its range in degrees and are far outside it in radians."""
+def check_positions(where: str, robot: Robot, q: np.ndarray, least: float = 0.0) -> None:
+    """Raise `UserError` where positions q (n, K) span far more than a joint's range, and `least` [rad], and say what they look like."""
     for i, joint in enumerate(robot.joints):
-        low, high = float(q[i].min()), float(q[i].max())
-        room = robot.upper[i] - robot.lower[i]
-        if high - low > 2 * room and max(-low, high) > 2 * np.pi and (high - low) / DEGREES <= 1.2 * room:
-            raise UserError(
-                f"{where}: column 'q_{joint}' spans {low:.3g} … {high:.3g}, the joint's range is "
-                f"{robot.lower[i]:.3g} … {robot.upper[i]:.3g} rad; the unit is rad, it looks like degrees"
-            )
+        low, high, room = float(q[i].min()), float(q[i].max()), float(robot.upper[i] - robot.lower[i])
+        if not (np.isfinite(room) and high - low > max(2 * room, least) and max(-low, high) > 2 * np.pi):
+            continue
+        inside = bool(low / DEGREES > robot.lower[i] - room / 2 and high / DEGREES < robot.upper[i] + room / 2)
+        whole = bool(np.all(q[i] == np.round(q[i])))
+        looks = "degrees, or " * inside + ("an encoder's counts" if whole else "the motor's angle before its gear")
+        raise UserError(
+            f"{where}: column 'q_{joint}' spans {low:.3g} … {high:.3g}, the joint's range is "
+            f"{robot.lower[i]:.3g} … {robot.upper[i]:.3g} rad; the unit is rad at the joint, it looks like {looks}"
+        )
 
 
 def check_commands(where: str, robot: Robot, command: np.ndarray, q: np.ndarray) -> None:
@@ -268,8 +271,9 @@ def sampling_doubts(t: np.ndarray, segments: tuple[slice, ...]) -> list[str]:
     steps, doubts = np.diff(t), []
     rate = 1 / float(np.median(steps))
     if rate < LOW_RATE:
+        counted = "; t goes up by 1 from row to row: is it the number of the row?" * bool(np.all(steps == 1))
         doubts.append(
-            f"is sampled at {rate:.3g} Hz; accelerations need {LOW_RATE:g} Hz or more, and friction at reversals needs more"
+            f"is sampled at {rate:.3g} Hz; accelerations need {LOW_RATE:g} Hz or more, and friction at reversals needs more{counted}"
         )
     gaps = [float(t[s.start] - t[s.start - 1]) for s in segments[1:]]
     if gaps and (max(gaps) > LONG_GAP or sum(gaps) > MISSING * (t[-1] - t[0])):

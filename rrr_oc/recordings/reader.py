@@ -86,13 +86,16 @@ def _recording(folder: Path, entry: RecordingEntry, springs: tuple[Spring, ...],
     values = np.array(table.columns(used))
     mended = dict[str, str]()
     _settle_times(used, values, mended)
-    _drop_spikes(used, values, robot.joints, mended)
+    _drop_faults(used, values, (*(f"q_{joint}" for joint in robot.joints), *recorded), mended)
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
         columns = dict(zip(used, values[:, rows], strict=True))
         plausibility.check_time(str(path), columns["t"])
         columns.setdefault("payload", np.full(len(rows), entry.payload))
         plausibility.check_magnitudes(str(path), columns)
+        if header.coupled("q") is None:  # before turns are taken off
+            raw = np.array([columns[f"q_{joint}"] for joint in robot.joints])
+            plausibility.check_positions(str(path), robot, raw, 4 * np.pi)  # turns of an encoder are fewer
         segments = _split(columns, robot.joints, mended)
         turned = _unwrap(columns, robot.joints, segments)
         _fill_updates(columns, robot.joints, segments, mended)
@@ -175,7 +178,11 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
     rows = np.flatnonzero(~np.isnan(values[needed]).any(axis=0))
     if len(rows) < LEAST_ROWS:
         total = values.shape[1]
-        raise UserError(f"{table.path}: {len(rows)} of {total} rows are without a NaN; at least {LEAST_ROWS} are required")
+        empty = ", ".join(used[i] for i in needed if np.isnan(values[i]).all())
+        raise UserError(
+            f"{table.path}: {len(rows)} of {total} rows are without a NaN; at least {LEAST_ROWS} are required"
+            + f"; no row has {empty}" * bool(empty)
+        )
     t = values[used.index("t"), rows]
     back = np.flatnonzero(t[1:] <= t[:-1])
     if len(back):
@@ -240,14 +247,22 @@ def _split(columns: Mapping[str, np.ndarray], joints: Sequence[str], mended: dic
     return tuple(pieces)
 
 
-def _drop_spikes(used: Sequence[str], values: np.ndarray, joints: Sequence[str], mended: dict[str, str]) -> None:
-    """Put NaN into the place of positions that jump away and back."""
-    for name in (f"q_{joint}" for joint in joints):
-        q = values[used.index(name)]
-        found = faults.spikes(q) if len(q) >= LEAST_ROWS and np.isfinite(q).all() else np.zeros(len(q), bool)
-        if found.any():
-            q[found] = np.nan
-            mended[f"spikes of {name}"] = f"{name} jumps away and back in {np.sum(found)} rows, which are left out"
+def _drop_faults(used: Sequence[str], values: np.ndarray, names: Sequence[str], mended: dict[str, str]) -> None:
+    """Put NaN into the place of positions and torques that jump away and back, and of positions that stand still until they jump."""
+    for name in names:
+        x, t = values[used.index(name)], values[used.index("t")]
+        if len(x) < LEAST_ROWS or not np.isfinite(x).all():
+            continue
+        position = name.startswith("q_")
+        wrong = faults.spikes(x, 2 * np.pi if position else np.inf)
+        wrong &= position | (
+            np.abs(x) > faults.ALIKE * np.quantile(np.abs(x), faults.USUAL)
+        )  # friction turns over within a sample
+        stays = faults.stays(t, np.where(wrong, np.nan, x)) if position else np.zeros_like(wrong)
+        for rows, said in ((wrong, "jumps away and back"), (stays, "stands still until it jumps, as no motion does,")):
+            if rows.any():
+                x[rows] = np.nan
+                mended[f"{said} {name}"] = f"{name} {said} in {np.sum(rows)} rows, which are left out"
 
 
 def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:

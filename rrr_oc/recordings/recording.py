@@ -13,7 +13,8 @@ from rrr_oc.recordings import faults, plausibility
 from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Loop, Spring, Torque
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
-BEYOND = 0.01  # share of rows in which a loop's torque beyond the joint's limit is said; doubled, more of them pass unsaid
+# Shares of rows in which a loop's torque beyond the joint's limit is said, and above which gains or limit are wrong; doubled, fewer are told
+BEYOND, MOST_BEYOND = 0.01, 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -209,6 +210,10 @@ class RecordingSet:
                     f"{_named([r for r, _ in band])}: {column} is 0 where it is below {size:.2g} {unit}, in up to {100 * share:.2g} % of the "
                     "rows, as in a drive's dead band; these rows of the joint do not count"
                 )
+            if self.recordings[0].command is None and faults.unsigned(
+                [r.tau[j] for r in self.recordings], [r.dq[j] for r in self.recordings]
+            ):
+                doubts.append(f"{column} is 0 or above wherever {joint} moves to; is it a magnitude, without its sign?")
         for later, earlier, share in faults.repeated([np.concatenate([r.q, r.tau]) for r in self.recordings]):
             names = self.recordings[later].file, self.recordings[earlier].file
             doubts.append(
@@ -222,14 +227,21 @@ class RecordingSet:
         for r in self.recordings:
             for doubt in plausibility.sampling_doubts(r.t, r.segments):
                 found.setdefault(doubt, []).append(r)
-            limited = (self.robot.effort > 0) & (r.loop is not None)
-            beyond = limited * np.mean(np.abs(r.tau) > np.where(limited, self.robot.effort, np.inf)[:, None], axis=1)
-            for joint, share in zip(self.joints, beyond, strict=True):
-                if share > BEYOND:
-                    doubt = f"the gains give {joint} more than its effort limit in {100 * share:.2g} % of the rows, where a motor gives less"
-                    found.setdefault(f"{doubt}; NaN in its column leaves rows out", []).append(r)
             for joint in itertools.compress(self.joints, np.ptp(r.tau, axis=1) == 0):
                 found.setdefault(f"the recorded torque of {joint} never changes; was it recorded?", []).append(r)
+        shares = np.array([np.mean(self._asks(r), axis=1) for r in self.recordings])
+        for joint, limit, of in zip(self.joints, self.robot.effort, shares.T, strict=True):
+            for some, what in (
+                ((of > BEYOND) & (of <= MOST_BEYOND), "where a motor gives less; these rows of the joint do not count"),
+                (
+                    of > MOST_BEYOND,
+                    "and all rows count: kp, kd, a command or this limit of the robot's file is wrong, or the motor too weak",
+                ),
+            ):
+                if some.any():
+                    often = f"in up to {100 * np.max(of[some]):.2g} % of the rows, {what}"
+                    doubt = f"the gains give {joint} more than its effort limit, {limit:g} Nm, {often}"
+                    found[doubt] = [r for r, at in zip(self.recordings, some, strict=True) if at]
         travel = np.degrees(max(float(np.max(np.ptp(r.q, axis=1))) for r in self.recordings))
         small = [f"no joint travels more than {travel:.3g}°; were angles in rad taken for degrees?"]
         still = travel < np.degrees(plausibility.STILL) or travel > plausibility.SMALL_TRAVEL
@@ -242,6 +254,15 @@ class RecordingSet:
             result.setdefault(getattr(r, names), []).append(r)
         result.pop((), None)
         return result
+
+    def _asks(self, recording: Recording) -> np.ndarray:
+        """Where a loop asks for more than a joint's limit of torque, (n, K)."""
+        return (np.abs(recording.tau) > self.robot.effort[:, None]) & (recording.loop is not None)
+
+    def clipped(self, recording: Recording) -> np.ndarray:
+        """Where a motor gives less than its loop asks for, (n, K); nowhere for a joint of which that is so in most rows."""
+        asks = self._asks(recording)
+        return asks & (np.mean(asks, axis=1, keepdims=True) <= MOST_BEYOND)
 
     def output_torque(self, recording: Recording) -> np.ndarray:
         """Recorded torque at the joints' output [Nm], shape (n, K): k_t I for currents, of commands as the motion's speeds say."""

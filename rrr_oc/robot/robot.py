@@ -27,6 +27,7 @@ from rrr_oc.storage import read_regular
 # (pin's wheel has no stubs)
 
 BUNDLED = ("rrr", "rrr_prototype")
+WIDEST = 10.0  # lengths of a link that its radius of gyration has at most; doubled, moments in kg cm² of long links pass
 DENSEST = 2e4  # [kg/m³] of a cube as large as a link, nearly that of osmium; doubled, fewer masses in g are found
 SMALLEST = 0.15  # [m] of such a cube, so that short heavy wrists pass; doubled, links below 500 kg do
 ROUNDED = 1e-6  # [rad] by which an angle may lie outside a range that is told in few digits; doubled, nothing changes
@@ -183,7 +184,7 @@ def load_robot(
         notes=notes,
         held=held,
     )
-    return replace(robot, notes=(*notes, *(f"{said}; are masses in g?" for said in too_dense(robot)))) if inertial else robot
+    return replace(robot, notes=(*notes, *_in_other_units(robot))) if inertial else robot
 
 
 def _notes(elements: Elements, middle: Mapping[str, float], inertial: bool) -> tuple[str, ...]:
@@ -453,7 +454,9 @@ def _check_masses(name: str, model: pin.Model, wrong: Mapping[str, str]) -> None
     for frame in model.frames:
         said = wrong.get(frame.name) if frame.type == pin.FrameType.BODY and frame.parentJoint > 0 else None
         none = said is not None and "no <inertial>" in said
-        if said is None or (none and model.inertias[frame.parentJoint].mass > 0):
+        if said is None or (
+            none and (model.inertias[frame.parentJoint].mass > 0 or _moved_link(model, frame.parentJoint) not in wrong)
+        ):
             continue
         moved = f", moved by joint {model.names[frame.parentJoint]!r},"
         raise UserError(
@@ -496,13 +499,32 @@ def _nearest_inertia(inertia: np.ndarray) -> np.ndarray:
 
 def too_dense(robot: Robot) -> tuple[str, ...]:
     """A sentence on each link that is heavier than any material of its size, which is as far as the next joint or the tool is."""
-    ends, notes = [*robot.placements[1:, :3, 3], robot.tool.position], []
-    for link, parameters, end in zip(robot.links, robot.inertial.T, ends, strict=True):
-        mass = float(parameters[0])
-        size = max(SMALLEST, float(np.linalg.norm(end)), 2 * float(np.linalg.norm(parameters[1:4])) / mass if mass > 0 else 0.0)
-        if mass > DENSEST * size**3:
-            notes.append(f"link {link!r} weighs {mass:.4g} kg, which nothing of its size, {size:.2g} m, does")
-    return tuple(notes)
+    heavy = (
+        (link, float(parameters[0]), size)
+        for link, parameters, size in zip(robot.links, robot.inertial.T, _sizes(robot), strict=True)
+        if parameters[0] > DENSEST * size**3
+    )
+    return tuple(
+        f"link {link!r} weighs {mass:.4g} kg, which nothing of its size, {size:.2g} m, does" for link, mass, size in heavy
+    )
+
+
+def _in_other_units(robot: Robot) -> tuple[str, ...]:
+    """A sentence on each link whose mass, or moments of inertia, are of no body as long as it is."""
+    radii = np.sqrt(np.max(robot.inertial[[4, 6, 9]], axis=0) / np.maximum(robot.inertial[0], 1e-12))
+    wide = (
+        f"link {link!r} has moments of inertia as if its mass were {radius:.3g} m from its joint, and is {size:.2g} m long; kg m² are required"
+        for link, radius, size in zip(robot.links, radii.tolist(), _sizes(robot), strict=True)
+        if radius > WIDEST * size
+    )
+    return (*(f"{said}; are masses in g?" for said in too_dense(robot)), *wide)
+
+
+def _sizes(robot: Robot) -> list[float]:
+    """How far the next joint or the tool is from each joint [m], or twice as far as the centre of mass, whichever is more."""
+    ends, masses = [*robot.placements[1:, :3, 3], robot.tool.position], np.maximum(robot.inertial[0], 1e-12)
+    centres = np.linalg.norm(robot.inertial[1:4] / masses, axis=0)
+    return [max(SMALLEST, float(np.linalg.norm(end)), 2 * float(c)) for end, c in zip(ends, centres, strict=True)]
 
 
 def _tool_position(frames: Mapping[str, tuple[int, np.ndarray]], last: int, body: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Recording sets of robots without torque sensors: commanded angles and the gains of the loop that follows them."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from recorded import Plant, multisine, real, record
 
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.consistency import check_consistency
 from rrr_oc.recordings.header import Loop
@@ -155,7 +157,53 @@ def test_torques_beyond_the_motors_are_said(tmp_path):
     limit = found.robot.effort[2]
     beyond = np.mean(np.abs(found.recordings[0].tau[2]) > limit)
     assert beyond > 0.05
-    assert any(f"joint3 more than its effort limit in {100 * beyond:.2g} % of the rows" in note for note in found.notes)
+    said = (
+        f"joint3 more than its effort limit, {limit:g} Nm, in up to {100 * beyond:.2g} % of the rows, where a motor gives less"
+    )
+    assert any(said in note for note in found.notes)
+    np.testing.assert_array_equal(found.clipped(found.recordings[0])[2], np.abs(found.recordings[0].tau[2]) > limit)
+    friction = [e.value for term in calibrate(found).terms if "viscous" in term.effect.name for e in term.estimates]
+    np.testing.assert_allclose(friction, [3.0, 4.0, 2.0], rtol=0.1)  # smoothing
+    assert check_consistency(found).doubts == ()
+
+
+def test_a_limit_below_most_torques_is_doubted_and_nothing_left_out(tmp_path):
+    columns, _ = arm_columns()
+    columns["command_joint3"] = columns["command_joint3"] + np.where(np.arange(1000) < 600, 3.0, 0.0)
+    found = load_recordings(write(tmp_path, columns))
+    assert any("all rows count: kp, kd, a command or this limit of the robot's file is wrong" in note for note in found.notes)
+    assert not found.clipped(found.recordings[0]).any()
+
+
+WRONG_GAINS = {
+    "kp": ({"kp": {**KP, "joint2": 6000.0}}, 10.0, "kp of joint2 is NUMBER times what the arm needs: "),
+    "a smaller kp": ({"kp": {**KP, "joint2": 60.0}}, 0.1, "kp of joint2 is NUMBER times what the arm needs: "),
+    "Nm/°": (
+        {"kp": {j: k * np.pi / 180 for j, k in KP.items()}, "kd": 0.0},
+        np.pi / 180,
+        "kp of all joints is NUMBER times what the arm needs, as if in Nm/°: ",
+    ),
+    "kd": ({"kd": {**KD, "joint2": 900.0}}, None, "what kp and kd make of commands fits with a smaller kd than is listed: "),
+}
+
+
+@pytest.mark.parametrize("gains", WRONG_GAINS)
+def test_wrong_gains_are_named(tmp_path, gains):
+    changes, times, said = WRONG_GAINS[gains]
+    (doubt,) = check_consistency(load_recordings(write(tmp_path, arm_columns()[0], **changes))).doubts
+    match = re.search(said.replace("NUMBER", r"([\d.]+)"), doubt.said)
+    assert match is not None, doubt.said
+    if times is not None:
+        assert float(match[1]) == pytest.approx(times, rel=0.12)  # dry friction at reversals
+
+
+def test_a_kp_that_is_not_known_is_told_beside_a_loop_that_brakes(tmp_path):
+    """Whose kd makes most of what is commanded."""
+    columns, tau = arm_columns()
+    for i, j in enumerate(JOINTS):
+        columns[f"command_{j}"] = columns[f"q_{j}"] + (tau[i] + 60 * columns[f"dq_{j}"]) / KP[j]
+    kp = load_recordings(write(tmp_path, columns, kp={"joint1": KP["joint1"]}, kd=60.0)).estimated_kp
+    assert kp == pytest.approx({j: KP[j] for j in JOINTS[1:]}, rel=0.1)  # dry friction at reversals
 
 
 READINGS = {

@@ -53,7 +53,7 @@ MISTAKES = {
     "torque in Ncm": (
         scaled(100, "tau_joint2"),
         "unit",
-        "tau_joint2 is 99.8 times the torque that the arm needs, as if in Ncm: ",
+        "tau_joint2 is 99.8 times what the arm needs, as if in Ncm: ",
     ),
     "angles in rad taken for degrees": (
         without(("dq",), scaled(np.pi / 180, *(f"q_{joint}" for joint in JOINTS))),
@@ -222,7 +222,7 @@ def test_all_torques_of_the_opposite_sign_are_one_mistake(tmp_path):
 
 def test_one_unit_of_all_torques_is_one_mistake_and_may_be_heavier_links(tmp_path):
     (doubt, *_) = doubts(tmp_path, a=scaled(100, *(f"tau_{joint}" for joint in JOINTS)))
-    assert doubt.said.startswith("all torques are 99.8 times those that the arm needs, as if in Ncm: divided by that: NRMSE ")
+    assert doubt.said.startswith("all torques are 99.8 times what the arm needs, as if in Ncm: divided by that: NRMSE ")
     assert doubt.rivals[0] == "all links are 99.8 times as heavy as in the robot's file"
 
 

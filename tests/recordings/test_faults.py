@@ -12,10 +12,10 @@ T = RIGHT["t"]
 LIMIT = float(np.quantile(np.abs(RIGHT["tau_joint2"]), 0.8))
 
 
-def frozen() -> dict[str, np.ndarray]:
-    """The encoder of joint2 gives its last value from 3 to 3.4 s; its speed is measured."""
+def frozen(seconds: float) -> dict[str, np.ndarray]:
+    """The encoder of joint2 gives its last value from 3 s on; its speed is measured."""
     q = RIGHT["q_joint2"].copy()
-    q[(T > 3) & (T < 3.4)] = q[T <= 3][-1]
+    q[(T > 3) & (seconds - 0.005 > T - 3)] = q[T <= 3][-1]
     return RIGHT | {"q_joint2": q}
 
 
@@ -28,7 +28,7 @@ FAULTS = {
         RIGHT | {"q_wrist": 0.5 + 0 * T},
         'a.csv: q_wrist stands at 28.6°, where the arm is taken to have 0°; "fixed_deg" says another angle',
     ),
-    "encoder": (frozen(), "a.csv: q_joint2 is the same from 3.000 to 3.390 s, in which dq_joint2 goes on by "),
+    "encoder": (frozen(0.4), "a.csv: q_joint2 is the same from 3.000 to 3.390 s, in which dq_joint2 goes on by "),
     "torque": (
         RIGHT | {"tau_joint2": np.clip(RIGHT["tau_joint2"], -LIMIT, LIMIT)},
         f"a.csv: tau_joint2 is cut off at {LIMIT:.4g} Nm, in up to 20 % of the rows, ",
@@ -89,3 +89,34 @@ def test_a_dead_band_is_found_and_zeros_of_a_coarse_torque_are_none(levels):
     assert not zeroed(read).any()
     dead = np.where(np.abs(read) < 0.2, 0.0, read)
     np.testing.assert_array_equal(zeroed(dead), dead == 0)
+
+
+def test_an_encoder_that_stands_still_until_it_jumps_is_left_out(tmp_path):
+    """Whether speeds are measured or not; of all joints at once, as when a bus hangs."""
+    stands = (T > 5) & (T < 5.995)
+    hangs = {name: np.where(stands, x[T <= 5][-1], x) if name != "t" else x for name, x in RIGHT.items()}
+    for wrong, right in ((frozen(1.0), (T <= 3.005) | (T >= 3.995)), (hangs, ~stands)):
+        for kinds in ((), ("dq",)):
+            (r,) = load_recordings(written(tmp_path, a=without(kinds, wrong))).recordings
+            expected = np.array([RIGHT[f"q_joint{j}"][right] for j in (1, 2, 3)])
+            assert r.q.shape[1] == pytest.approx(np.sum(right), abs=1)
+            assert all(np.min(np.abs(expected[1] - q)) < 1e-9 for q in r.q[1])
+            assert any("q_joint2 stands still until it jumps" in text for text in r.mended.values())
+
+
+def test_numbers_that_stand_for_no_value_are_left_out(tmp_path):
+    """Every 17th position is 0, every 13th torque -999 or 200 Nm too much."""
+    for name, every, value in (("q_joint2", 17, 0.0), ("tau_joint2", 13, -999.0), ("tau_joint2", 13, 200.0)):
+        wrong = RIGHT[name].copy()
+        wrong[::every] = value
+        wrong[0] = RIGHT[name][0]
+        (r,) = load_recordings(written(tmp_path, a=RIGHT | {name: wrong})).recordings
+        kept = np.flatnonzero(np.isin(T, r.t))
+        assert set(kept) == set(np.flatnonzero(wrong == RIGHT[name])), name
+
+
+def test_torques_without_their_sign_are_told(tmp_path):
+    said = "tau_joint2 is 0 or above wherever joint2 moves to; is it a magnitude, without its sign?"
+    for tau in (np.abs(RIGHT["tau_joint2"]), RIGHT["tau_joint2"], 20 + np.abs(RIGHT["tau_joint2"])):
+        magnitude = tau is not RIGHT["tau_joint2"] and np.min(tau) < 1
+        assert (said in notes(tmp_path, a=RIGHT | {"tau_joint2": tau})) == magnitude

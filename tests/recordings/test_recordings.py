@@ -504,6 +504,16 @@ def test_a_misspelt_column_is_no_silent_substitute(write):
     assert load_recordings(write(a=motion(t) | others)).recordings[0].ignored == tuple(others)
 
 
+def test_a_table_that_cannot_be_read_says_why(write):
+    """A column without a number, decimal commas between commas, and rows that are counted in place of timed."""
+    t = np.arange(100) * 0.01
+    assert refused(write(a=motion(t) | {"tau_joint2": t * np.nan})).endswith("; no row has tau_joint2")
+    header, rows = csv(motion(t)).split("\n", 1)
+    assert refused(write(a=f"{header}\n{rows.replace('.', ',')}")).endswith("; decimal commas need ; or tabs between cells")
+    notes = load_recordings(write(a=motion(t) | {"t": np.arange(100.0), "q_joint1": 2 * np.sin(9 * t)})).notes
+    assert any(note.endswith("t goes up by 1 from row to row: is it the number of the row?") for note in notes)
+
+
 def test_units(write):
     t = np.arange(300) * 0.006
     good = motion(t) | {"dq_joint1": 2.0 * np.cos(5 * t)}
@@ -517,6 +527,10 @@ def test_units(write):
 
     assert "'q_joint1' spans -22.9 … 22.9" in refused(write(a=scaled(motion(t), q_=np.degrees(1))))
     assert "looks like degrees" in refused(write(a=scaled(motion(t), q_=np.degrees(1))))
+    assert "looks like degrees, or the motor's angle before its gear" in refused(write(a=scaled(motion(t), q_=50)))
+    for first, scale in ((2048, 4096), (0, 2**20)):
+        counts = {n: np.round(first + x * scale / (2 * np.pi)) if n.startswith("q_") else x for n, x in motion(t).items()}
+        assert "looks like an encoder's counts" in refused(write(a=counts))
     assert "'dq_joint1' is in degrees" in refused(write(a=scaled(good, dq_=np.degrees(1))))
     assert "revolutions per minute" in refused(write(a=scaled(good, dq_=60 / 2 / np.pi)))
     assert "wrong sign" in refused(write(a=scaled(good, dq_=-1)))

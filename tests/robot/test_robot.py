@@ -427,6 +427,25 @@ def test_masses_in_grams_are_said(load):
     assert load(text.replace('xyz="0.3 0 0"', 'xyz="1.2 0 0"')).notes == ()
 
 
+def test_moments_in_another_unit_are_said(load):
+    """Those of the made-up links in kg mm²; arms of every size may have theirs."""
+    for moments, notes in (((0.02, 0.03, 0.04), 0), ((2e4, 3e4, 4e4), 1)):
+        text = robot(link("base", 0), link("l1", 1.0, moments), link("l2"), joint("j1", "base", "l1"), joint("j2", "l1", "l2"))
+        said = [
+            note
+            for note in load(text).notes
+            if note.startswith("link 'l1' has moments of inertia as if its mass were 200 m from")
+        ]
+        assert len(said) == notes
+
+
+def test_a_link_without_mass_is_named_and_not_what_is_fixed_to_it(load):
+    empty = link("l1").replace('<mass value="1.0"/>', '<mass value="0"/>')
+    text = robot(link("base", 0), empty, link("hand", 0), joint("j1", "base", "l1"), joint("grip", "l1", "hand", "fixed"))
+    with pytest.raises(UserError, match="link 'l1', moved by joint 'j1', has mass 0 kg"):
+        load(text)
+
+
 XACRO = '<robot name="made_up" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>'
 
 
