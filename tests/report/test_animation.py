@@ -116,7 +116,7 @@ def test_the_arm_is_drawn_where_kinematics_has_it():
 MISTAKES = {
     "no task": (["PEA.npz", "--out", "a.gif"], "--task is missing"),
     "other arm": (["PEA.npz", "--task", "{task}", "--out", "a.gif"], "no task at"),
-    "no npz": (["set/0.csv", "--task", "paper", "--out", "a.gif"], "is no npz of a design"),
+    "no npz": (["set/0.csv", "--task", "paper", "--out", "a.gif"], "no readable npz file"),
     "no recording": (["set", "--recording", "2.csv", "--out", "a.gif"], "there are 0.csv, 1.csv"),
     "no picture": (["set", "--out", "a.avi"], "allowed are names that end in .gif or .mp4"),
 }
