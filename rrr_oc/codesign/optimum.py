@@ -11,7 +11,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import each
+from rrr_oc.codesign.springs import each, mounting
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, DesignSpring, Effect, Wound
 from rrr_oc.effects.base import Signals
@@ -110,8 +110,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
 
 def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
     """How each spring of a design is mounted: the values of its effect's options, by its label."""
-    springs = [s.effect for s in design.springs if not s.known]
-    return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
+    return {design.model.label(s.effect): mounting(s.effect) for s in design.springs if not s.known}
 
 
 def profiles(task: Task, springs: Sequence[tuple[Effect, Mapping[str, float]]]) -> dict[str, dict[str, np.ndarray]]:
@@ -195,11 +194,6 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
     return Solution.bare(transcription, arrays["variables"], float(arrays["cost"]))
 
 
-def known_parameters(design: CoDesign) -> np.ndarray:
-    """Parameters (np,) of the effects of the arm, of a design without springs."""
-    return np.concatenate([np.zeros(0), *(spring.lower for spring in design.springs if spring.known)])
-
-
 def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | None:
     """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
     missing in `outer` or mounted in another way, and where `outer` has more springs between drives and links: these cannot do nothing.
@@ -208,7 +202,7 @@ def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | No
     parameters = []
     for spring in outer.springs:
         effect, values = own.pop(outer.model.label(spring.effect), (spring.effect, None))
-        if any(getattr(effect, key) != getattr(spring.effect, key) for key in effect.options):
+        if mounting(effect) != mounting(spring.effect):
             return None
         if values is None:
             middle = zip(effect.parameters, spring.lower, spring.upper, strict=True)

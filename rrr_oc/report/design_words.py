@@ -16,6 +16,7 @@ from rrr_oc.codesign.design_file import (
     Priced,
     QuantityEntry,
 )
+from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -26,7 +27,7 @@ from rrr_oc.model.metrics import decrease
 from rrr_oc.report.tables import NONE, spring_unit
 
 MANY = 3.0  # times the planned E1 from which it is told as that
-MOTOR_TORQUE = "motor torque²"  # in tables, and the name of the cost
+MOTOR_TORQUE = COSTS["motor"].name
 AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
 OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
 UNDER = 0.005  # [m] below the base's plane from which a reader is warned; doubled, motions a little deeper are not told
