@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from rrr_oc.codesign.clearance import Clearance
 from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
-from rrr_oc.codesign.springs import SpringBounds, each
+from rrr_oc.codesign.springs import SpringBounds, acting, each
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
@@ -140,12 +140,8 @@ class CoDesign:
 
     def engaged(self, phase: int, parameters):
         """The parameters (np,), numbers or casadi's, as they act in a phase: springs that a clutch has let go have no amplitude."""
-        acting = [
-            p.name not in s.effect.amplitudes or not isinstance(s.effect, Clutched) or s.effect.phase == PHASES[phase]
-            for s in self.springs
-            for p in s.effect.parameters
-        ]
-        return parameters * np.array(acting, float)
+        pairs = ((s.effect, p) for s in self.springs for p in s.effect.parameters)
+        return parameters * np.array([p.name not in e.amplitudes or phase in acting(e) for e, p in pairs], float)
 
     @property
     def data_names(self) -> tuple[str, ...]:

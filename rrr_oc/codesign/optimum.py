@@ -11,9 +11,9 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import each, mounting
+from rrr_oc.codesign.springs import acting, each, mounting
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Clutched, DesignSpring, Effect, Wound
+from rrr_oc.effects import DesignSpring, Effect, Wound
 from rrr_oc.effects.base import Signals
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
@@ -135,8 +135,8 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
             continue
         torques = [
             model.inverse(p.q, p.dq, p.ddq, p.payload[0], [*theta.values()], np.zeros(model.widths.size))[1]
-            for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
-            if not isinstance(effect, Clutched) or effect.phase == name
+            for phase, p in enumerate(motion.by_phase(design.task))
+            if phase in acting(effect)
         ]
         if max(float(np.max(np.abs(np.array(tau)))) for tau in torques) <= IDLE * needed:
             greatest = dict(zip(theta, spring.upper, strict=True))
@@ -150,11 +150,9 @@ def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> di
     where it is slack."""
     found, q = {}, design.task.full(motion.q)
     for spring, theta in each(design.springs, parameters):
-        effect, acts = spring.effect, np.ones(len(motion.t), bool)
-        if isinstance(effect, Clutched):  # in the other phase it is held as it is
-            acts = motion.phase == PHASES.index(effect.phase)
+        effect = spring.effect
         if isinstance(effect, Wound) and not spring.known:
-            stretch = effect.stretch(Signals(q[:, acts]), theta)
+            stretch = effect.stretch(Signals(q[:, np.isin(motion.phase, acting(effect))]), theta)
             found[design.model.label(effect)] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
     return found
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from rrr_oc.codesign.task import Task, overloads
+from rrr_oc.codesign.task import PHASES, Task, overloads
 from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError, meant
@@ -110,6 +110,11 @@ class SpringBounds:
 def mounting(effect: Effect) -> dict[str, Any]:
     """How a spring is mounted: the values of its effect's options, as plain data."""
     return plain({key: getattr(effect, key) for key in effect.options})
+
+
+def acting(effect: Effect) -> list[int]:
+    """Indices of the phases in which a spring acts: of one with a clutch its own alone, in the other it is held as it is."""
+    return [i for i, name in enumerate(PHASES) if not isinstance(effect, Clutched) or effect.phase == name]
 
 
 def each(springs: Sequence[SpringBounds], parameters: Any) -> list[tuple[SpringBounds, dict[str, Any]]]:

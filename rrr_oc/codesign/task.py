@@ -14,6 +14,7 @@ from scipy.optimize import least_squares, minimize
 from rrr_oc.codesign.clearance import FLOOR, TOOL, Clearance, KeepOut, Surroundings, link_ends
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
+from rrr_oc.effects.springs import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
@@ -37,7 +38,6 @@ from rrr_oc.schema import (
 )
 
 PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
-PHASES = ("go", "return")
 NEAR = 1e-3  # [m] between the tool and a position that it reaches; angles and positions in files are rounded; doubled, nothing changes
 MILLIMETRES = 100.0  # times as far away as the tool comes, from which a position looks like one in mm; doubled, nothing changes
 TRIED = 8  # postures from which the one of least torque is sought; doubled, slower and surer

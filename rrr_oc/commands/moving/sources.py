@@ -11,12 +11,12 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.calibration.prediction_error import simulated
 from rrr_oc.codesign.optimum import SampledMotion
-from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.codesign.springs import acting, saved_springs
+from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.codesign.trajectory import saved_motion
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import loaded
-from rrr_oc.effects import Clutched, Signals
+from rrr_oc.effects import Signals
 from rrr_oc.errors import UserError, meant
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -49,9 +49,8 @@ def _of_design(source: Path, task: Task, m: SampledMotion) -> tuple[ShownSpring,
     """The springs that the study's summary beside the npz has; without it, one at each joint that springs act on."""
     if (source.parent / SUMMARY).is_file():
         springs = saved_springs(source.parent / SUMMARY, source.stem, task).mounted
-        acting = [m.phase == PHASES.index(effect.phase) if isinstance(effect, Clutched) else 1.0 for effect, _ in springs]
-        shown = zip(shown_springs(springs, task.full(m.q)), acting, strict=True)
-        return tuple(replace(spring, tension=spring.tension * share) for spring, share in shown)
+        shown = zip(shown_springs(springs, task.full(m.q)), springs, strict=True)
+        return tuple(replace(s, tension=s.tension * np.isin(m.phase, acting(effect))) for s, (effect, _) in shown)
     return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, m.tau_spring, strict=True) if np.any(row))
 
 
