@@ -238,7 +238,8 @@ def optima_table(study: DesignFile) -> Table:
         stiff = _stiff(study, name)
         cells = [name, small_too(c.cost), "springs do nothing" if c.does_nothing else fall(c.cost, stiff and stiff.cost)]
         if known:
-            cells += _with_decrease(*((one and (one.first if of_load else one.first.motors)) for one in (c, stiff)), "E1")
+            own, other = ((one and (one.first if of_load else one.first.motors)) for one in (c, stiff))
+            cells += _with_decrease(own, other, "E1")
         if study.paper:
             cells.append("" if c.published_springs is None else f"{c.published_springs:.2f}")
         cells += _quality(c.first) if study.single else _compared(c)

@@ -27,7 +27,8 @@ def folder(tmp_path_factory) -> Path:
     save_recordings(replace(recordings), folder / "set")
     t = np.linspace(0.0, 0.4, 21)
     q = np.array([0.5 + t, 0 * t - 1.0])
-    np.savez(folder / "PEA.npz", t=t, q=q, tau_load=q, tau_spring=0 * q, payload=np.full(21, 5.0))
+    rates = {"dq": 0 * q, "ddq": 0 * q, "twist": np.zeros((3, *q.shape)), "phase": (np.arange(21) > 10).astype(int)}
+    np.savez(folder / "PEA.npz", t=t, q=q, tau_load=q, tau_spring=0 * q, payload=np.full(21, 5.0), **rates)
     return folder
 
 
