@@ -257,9 +257,9 @@ def _stiff(study: DesignFile, name: str) -> Configuration | None:
     return None if name == "SA" else study.configurations.get("SA")
 
 
-def _with_decrease(own: MetricsEntry, stiff: MetricsEntry | None, what: str) -> list[str]:
+def _with_decrease(own: MetricsEntry | None, stiff: MetricsEntry | None, what: str) -> list[str]:
     """A figure of a motion, and its decrease against stiff actuation."""
-    value = getattr(own, what)
+    value = None if own is None else getattr(own, what)
     return [NONE if value is None else small_too(value), fall(value, stiff and getattr(stiff, what))]
 
 
