@@ -33,8 +33,9 @@ from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.commands.design import Intervals, Motions, Results, Starts, Tolerance
 from rrr_oc.commands.output import Output
-from rrr_oc.commands.shared import Jobs, Workers, named
+from rrr_oc.commands.shared import Jobs, Seed, Workers, named
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.kept import kept_motion, once
 from rrr_oc.model.metrics import decrease
@@ -86,14 +87,14 @@ class Run:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
+    out: Results,
     cycle_times: Annotated[str, typer.Option(help="comma-separated [s]")] = "3,4,6,8",
     jerk: Annotated[float, typer.Option(min=100, help="limit of each joint [°/s³]")] = 900.0,
-    starts: Annotated[int, typer.Option(min=1, help="of each search")] = 4,
-    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 8,
-    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-3,
-    intervals: Annotated[int, typer.Option(min=8, help="of a phase on the first fine mesh")] = 24,
+    starts: Starts = 4,
+    motions: Motions = 8,
+    seed: Seed = 0,
+    tolerance: Tolerance = 1e-3,
+    intervals: Intervals = 24,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
 ) -> None:
@@ -103,8 +104,9 @@ def main(
     except ValueError:
         raise UserError(f"--cycle-times is {cycle_times!r}; numbers of seconds, comma-separated, are required") from None
     check_folder(out)
-    few = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance))
-    few = replace(few, fine=intervals, coarse=intervals * few.coarse // few.fine)
+    few = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance)).on(
+        intervals
+    )
     run, found, console = Run(out, float(np.radians(jerk)), times, few, Output()), dict[str, Any](), wide_console()
     with parallel.workers(jobs, workers):
         for name in (RIGID, "PEA", ALL, BALANCED):

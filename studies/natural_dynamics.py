@@ -28,14 +28,16 @@ import typer
 
 from rrr_oc import parallel
 from rrr_oc.codesign.certificate import exact_cost
-from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
+from rrr_oc.codesign.design_problem import COSTS as QUANTITIES
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, embedded, restart_arrays, restored, sample_motion
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import offered, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.commands.design import Intervals, Motions, Results, Starts, Tolerance
 from rrr_oc.commands.output import Output
-from rrr_oc.commands.shared import Jobs, Workers, named
+from rrr_oc.commands.shared import Jobs, Seed, Workers, named
 from rrr_oc.errors import entry_point
 from rrr_oc.kept import kept_motion, once
 from rrr_oc.model.metrics import decrease
@@ -109,7 +111,7 @@ class Run:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
+    out: Results,
     task: Annotated[str, typer.Option(help="a bundled task, or the path of a task file")] = "paper",
     configurations: Annotated[
         str | None, typer.Option(help="comma-separated; default: all whose springs the task offers")
@@ -122,11 +124,11 @@ def main(
     friction: Annotated[
         float, typer.Option(min=0, help="factor on the friction of the drives, for other drives than these")
     ] = 1.0,
-    starts: Annotated[int, typer.Option(min=1, help="of each search")] = 4,
-    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 8,
-    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-3,
-    intervals: Annotated[int, typer.Option(min=8, help="of a phase on the first fine mesh")] = 24,
+    starts: Starts = 4,
+    motions: Motions = 8,
+    seed: Seed = 0,
+    tolerance: Tolerance = 1e-3,
+    intervals: Intervals = 24,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
 ) -> None:
@@ -139,8 +141,9 @@ def main(
     drives = load_actuators(given.joints, actuators)
     drives = replace(drives, resistance=np.where(np.isfinite(drives.resistance), drives.resistance, resistance))
     drives = replace(drives, **{name: friction * getattr(drives, name) for name in FRICTION})
-    search = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance))
-    search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
+    search = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance)).on(
+        intervals
+    )
     run = Run(out, replace(given, speeds=("rest", "rest")), drives, search, Output())
     found: dict[str, Any] = {}
     with parallel.workers(jobs, workers):
@@ -210,7 +213,7 @@ def _written(run: Run, found: Mapping[str, Any], costs: Sequence[str], names: Se
     text = [
         "# Springs, cycles and control\n",
         f"Task {run.task.name}. Windings of {', '.join(f'{r:g}' for r in run.drives.resistance)} Ohm ({', '.join(run.drives.joints)}).\n",
-        *[f"- `{cost}`: {MEANING[cost]} [{COST_UNITS[COSTS[cost][0]]}]." for cost in costs],
+        *[f"- `{cost}`: {MEANING[cost]} [{QUANTITIES[COSTS[cost][0]].unit}]." for cost in costs],
         "\n## Optima\n",
         "`less`: than stiff actuation (SA) with the same cost and ends. `by moving`: less than with ends at rest.\n",
         markdown(*_optima(found, done)),

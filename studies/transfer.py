@@ -46,6 +46,7 @@ from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.motion import Motion
+from rrr_oc.model.parameters import by_effect
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.header import Spring
@@ -256,8 +257,7 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
     found = json.loads(content.read_text(encoding="utf-8"))
     saved = np.load(file)
     motion = SampledMotion(**{key: saved[key] for key in SAVED})
-    numbers, effects = iter(found["theta"]), [s.effect for s in design.springs if not s.known]
-    springs = tuple((e, {p.name: next(numbers) for p in e.parameters}) for e in effects)
+    springs = tuple(by_effect([s.effect for s in design.springs if not s.known], found["theta"]))
     return Designed(motion, springs, found["hardware"], found["E1"], found["engine"])
 
 

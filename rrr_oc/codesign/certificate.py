@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
 from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.clearance import FLOOR
-from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign, torque_path
+from rrr_oc.codesign.design_problem import COSTS, CoDesign, torque_path
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
@@ -159,7 +159,7 @@ def _active(design: CoDesign, solution: Solution, kkt: Kkt) -> tuple[ActiveBound
 def _described(design: CoDesign, solution: Solution, name: str, value: float, unit: str, gain: float) -> ActiveBound:
     factor, readable = _DESIGNER.get(unit, (1.0, unit))
     value, saving = float(value * factor), float(gain / factor / solution.cost)
-    cost = "E1" if design.cost == "load" else f"the cost [{COST_UNITS[design.cost]}]"
+    cost = "E1" if design.cost == "load" else f"the cost [{COSTS[design.cost].unit}]"
     sentence = f"moving {name} ({value:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {cost}"
     return ActiveBound(name, value, readable, saving, sentence)
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from rrr_oc.codesign.clearance import Clearance
 from rrr_oc.codesign.parts.constraints import Limited, limited
 from rrr_oc.codesign.series_elastic import POINTS, SeriesElastic
-from rrr_oc.codesign.springs import SpringBounds, each
+from rrr_oc.codesign.springs import SpringBounds, acting, each
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.effects.base import Signals
@@ -23,14 +23,27 @@ from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.robot.goals import Goal
 
-COSTS = ("load", "motor", "energy")
 # [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
 POWER_WIDTH = 10.0
 NARROW = 1e-3  # [rad] springs' width where none is given, by which that of power follows
 # Factor on the tolerance by which limits of torque, of springs and of distances, and of accelerations whose jerk is limited, are exceeded
 # between the nodes: 0.1 % or 1 mm instead of 10⁻⁵. They fall slowly with the mesh; a tenth of it takes three times as many intervals
 EASING = 100.0
-COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
+
+
+class CostKind(NamedTuple):
+    """What is minimised: in words, its name in tables and figures, and its unit."""
+
+    words: str
+    name: str
+    unit: str
+
+
+COSTS = {
+    "load": CostKind("load torque²", "E1", "N²m²s"),
+    "motor": CostKind("motor torque²", "motor torque²", "N²m²s"),
+    "energy": CostKind("electrical energy", "energy", "J"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +133,15 @@ class CoDesign:
         """The whole arm with the springs."""
         return self.task.model([s.effect for s in self.springs])
 
+    @property
+    def known_parameters(self) -> np.ndarray:
+        """Parameters of the known effects of the arm, (known,)."""
+        return np.concatenate([np.zeros(0), *(spring.lower for spring in self.springs if spring.known)])
+
     def engaged(self, phase: int, parameters):
         """The parameters (np,), numbers or casadi's, as they act in a phase: springs that a clutch has let go have no amplitude."""
-        acting = [
-            p.name not in s.effect.amplitudes or not isinstance(s.effect, Clutched) or s.effect.phase == PHASES[phase]
-            for s in self.springs
-            for p in s.effect.parameters
-        ]
-        return parameters * np.array(acting, float)
+        pairs = ((s.effect, p) for s in self.springs for p in s.effect.parameters)
+        return parameters * np.array([p.name not in e.amplitudes or phase in acting(e) for e, p in pairs], float)
 
     @property
     def data_names(self) -> tuple[str, ...]:

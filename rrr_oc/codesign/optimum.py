@@ -11,9 +11,9 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.parts.order_list import Part, order_list
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import each
+from rrr_oc.codesign.springs import acting, each, mounting
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Clutched, DesignSpring, Effect, Wound
+from rrr_oc.effects import DesignSpring, Effect, Wound
 from rrr_oc.effects.base import Signals
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
@@ -110,8 +110,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
 
 def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
     """How each spring of a design is mounted: the values of its effect's options, by its label."""
-    springs = [s.effect for s in design.springs if not s.known]
-    return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
+    return {design.model.label(s.effect): mounting(s.effect) for s in design.springs if not s.known}
 
 
 def profiles(task: Task, springs: Sequence[tuple[Effect, Mapping[str, float]]]) -> dict[str, dict[str, np.ndarray]]:
@@ -136,8 +135,8 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
             continue
         torques = [
             model.inverse(p.q, p.dq, p.ddq, p.payload[0], [*theta.values()], np.zeros(model.widths.size))[1]
-            for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
-            if not isinstance(effect, Clutched) or effect.phase == name
+            for phase, p in enumerate(motion.by_phase(design.task))
+            if phase in acting(effect)
         ]
         if max(float(np.max(np.abs(np.array(tau)))) for tau in torques) <= IDLE * needed:
             greatest = dict(zip(theta, spring.upper, strict=True))
@@ -151,11 +150,9 @@ def turns(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> di
     where it is slack."""
     found, q = {}, design.task.full(motion.q)
     for spring, theta in each(design.springs, parameters):
-        effect, acts = spring.effect, np.ones(len(motion.t), bool)
-        if isinstance(effect, Clutched):  # in the other phase it is held as it is
-            acts = motion.phase == PHASES.index(effect.phase)
+        effect = spring.effect
         if isinstance(effect, Wound) and not spring.known:
-            stretch = effect.stretch(Signals(q[:, acts]), theta)
+            stretch = effect.stretch(Signals(q[:, np.isin(motion.phase, acting(effect))]), theta)
             found[design.model.label(effect)] = max(float(np.min(stretch)), 0.0), max(float(np.max(stretch)), 0.0)
     return found
 
@@ -195,11 +192,6 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
     return Solution.bare(transcription, arrays["variables"], float(arrays["cost"]))
 
 
-def known_parameters(design: CoDesign) -> np.ndarray:
-    """Parameters (np,) of the effects of the arm, of a design without springs."""
-    return np.concatenate([np.zeros(0), *(spring.lower for spring in design.springs if spring.known)])
-
-
 def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | None:
     """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
     missing in `outer` or mounted in another way, and where `outer` has more springs between drives and links: these cannot do nothing.
@@ -208,7 +200,7 @@ def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | No
     parameters = []
     for spring in outer.springs:
         effect, values = own.pop(outer.model.label(spring.effect), (spring.effect, None))
-        if any(getattr(effect, key) != getattr(spring.effect, key) for key in effect.options):
+        if mounting(effect) != mounting(spring.effect):
             return None
         if values is None:
             middle = zip(effect.parameters, spring.lower, spring.upper, strict=True)

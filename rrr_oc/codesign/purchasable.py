@@ -208,7 +208,7 @@ def _refined(search: PartSearch, start: Solution, options: SearchOptions) -> Cat
     starts = [replace(start.guess(), parameters=part.parameters) for part in best]
     found = continue_from(list(zip(held, starts, strict=True)), options)
     if not found:
-        raise SolverFailure("no choice of the catalogue could be solved", 0, 0.0, "")
+        raise SolverFailure("no choice of the catalogue could be solved")
     first, optimum = found[0]
     runners_up = [{"cost": o.cost, **held[i].first.hardware(o.solution.parameters)} for i, o in found]
     hardware = held[first].first.hardware(optimum.solution.parameters)

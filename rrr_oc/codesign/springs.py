@@ -9,12 +9,12 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from rrr_oc.codesign.task import Task, overloads
+from rrr_oc.codesign.task import PHASES, Task, overloads
 from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError, meant
 from rrr_oc.kept import Listener
-from rrr_oc.model.parameters import offsets
+from rrr_oc.model.parameters import by_effect
 from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
 from rrr_oc.storage import plain
 
@@ -87,6 +87,11 @@ class SpringBounds:
     known: bool = False
 
     @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """What it is and on which joints; it may be mounted there in several ways, of which one can be."""
+        return self.effect.name, self.effect.joints
+
+    @property
     def form(self) -> DesignForm:
         """The spring's form in a co-design; raises `UserError` where it has none."""
         if not isinstance(self.effect, DesignSpring):
@@ -102,13 +107,20 @@ class SpringBounds:
         return SpringBounds(self.effect, lower, upper, fixed=fixed)
 
 
+def mounting(effect: Effect) -> dict[str, Any]:
+    """How a spring is mounted: the values of its effect's options, as plain data."""
+    return plain({key: getattr(effect, key) for key in effect.options})
+
+
+def acting(effect: Effect) -> list[int]:
+    """Indices of the phases in which a spring acts: of one with a clutch its own alone, in the other it is held as it is."""
+    return [i for i, name in enumerate(PHASES) if not isinstance(effect, Clutched) or effect.phase == name]
+
+
 def each(springs: Sequence[SpringBounds], parameters: Any) -> list[tuple[SpringBounds, dict[str, Any]]]:
     """Each spring with its parameters by name, of those of all (np, ...), numbers or casadi's."""
-    firsts = offsets([spring.effect for spring in springs])
-    return [
-        (spring, {p.name: parameters[first + i] for i, p in enumerate(spring.effect.parameters)})
-        for spring, first in zip(springs, firsts[:-1], strict=True)
-    ]
+    own = by_effect([spring.effect for spring in springs], parameters)
+    return [(spring, named) for spring, (_, named) in zip(springs, own, strict=True)]
 
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
@@ -124,9 +136,9 @@ def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
             f"unknown configuration {configuration!r}; it is {allowed_configurations()}{meant(configuration, configurations())}"
         )
     springs = [_spring(task, kind, given) for kind, given in _entries(task) if kind.name in kinds]
-    places = [(s.effect.name, s.effect.joints) for s in springs]
+    places = [spring.place for spring in springs]
     for spring in springs:
-        if places.count((spring.effect.name, spring.effect.joints)) > 1:
+        if places.count(spring.place) > 1:
             names = " and ".join(task.robot.joints[j] for j in spring.effect.joints)
             raise UserError(f"task {task.name!r}: two entries are a {spring.effect.name} of {names}; one is allowed")
     missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
@@ -248,7 +260,7 @@ def saved_springs(path: str | Path, name: str, task: Task) -> SavedSprings:
         effects = {task.model().label(s.effect): s.effect for s in way}
         if saved.choice is not None:
             effects = {label: e for label, e in effects.items() if label in saved.mounted}
-        if saved.mounted == {label: plain({key: getattr(e, key) for key in e.options}) for label, e in effects.items()}:
+        if saved.mounted == {label: mounting(effect) for label, effect in effects.items()}:
             lacking = [
                 f"{label}: {p.name}"
                 for label, e in effects.items()

@@ -34,7 +34,6 @@ from rrr_oc.codesign.optimum import (
     describe_simulation,
     embedded,
     idle_springs,
-    known_parameters,
     mounted,
     parts,
     resimulate,
@@ -53,7 +52,15 @@ from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.search.starts import layers
-from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
+from rrr_oc.codesign.springs import (
+    SpringBounds,
+    allowed_configurations,
+    arrangements,
+    holding,
+    mounting,
+    offered,
+    ways_to_mount,
+)
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, front, joint_optimum, solve_bought, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
@@ -371,8 +378,8 @@ def _check(study: Study) -> None:
 
 def _one_a_place(design: CoDesign) -> tuple[SpringBounds, ...]:
     """The springs of a design in the first way to mount each."""
-    first = {(s.effect.name, s.effect.joints): s for s in reversed(design.springs)}
-    return tuple(s for s in design.springs if s.known or first[s.effect.name, s.effect.joints] is s)
+    first = {s.place: s for s in reversed(design.springs)}
+    return tuple(s for s in design.springs if s.known or first[s.place] is s)
 
 
 def _once(study: Study, name: str, make: Callable[[], Configuration]) -> Configuration:
@@ -409,12 +416,10 @@ def _chosen(ways: Sequence[SetDesign], solved: Configuration) -> SetDesign:
     """The design with the springs of a result alone, mounted as there."""
 
     def has(design: CoDesign, spring: SpringBounds) -> bool:
-        effect = spring.effect
-        options = plain({key: getattr(effect, key) for key in effect.options})
-        return spring.known or solved.mounted.get(design.model.label(effect)) == options
+        return spring.known or solved.mounted.get(design.model.label(spring.effect)) == mounting(spring.effect)
 
     some = [way.with_springs(tuple(s for s in way.springs if has(way.first, s))) for way in ways]
-    return next(design for design in some if plain(mounted(design.first)) == solved.mounted)
+    return next(design for design in some if mounted(design.first) == solved.mounted)
 
 
 def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str, Configuration]:
@@ -428,7 +433,7 @@ def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str
     began = time.perf_counter()
     file = read_npz(kept_motion(study, cheapest))
     guess = restored(_chosen(designs[cheapest], found[cheapest]).first, study.options, file).guess()
-    tried = continue_from([(design.first, replace(guess, parameters=known_parameters(design.first)))], study.options)
+    tried = continue_from([(design.first, replace(guess, parameters=design.first.known_parameters))], study.options)
     if not tried or tried[0][1].cost >= stiff.cost:
         return {}
     better = _described(study, "SA", SetResult.apart(design, [tried[0][1]]), began)
@@ -608,7 +613,7 @@ def _choice(study: Study, offered: SetDesign, found: SpringFront, price: float) 
             }
         )
     at = found.points.index(found.at(price))
-    places = len({(s.effect.name, s.effect.joints) for s in offered.springs if not s.known})
+    places = len({s.place for s in offered.springs if not s.known})
     return {"price": price, "offered": places, "chosen": at, "solved": found.solved, "points": points}
 
 
@@ -623,7 +628,7 @@ def _buy(study: Study, name: str, design: SetDesign, made: Configuration) -> Con
         motions = [restored(one, options, file).guess() for one, file in zip(design.held(parameters), saved, strict=True)]
         joint = joint_optimum(design, design.guess(motions, parameters), options)
         if joint is None:
-            raise SolverFailure("the springs to be made led to no optimum on the first mesh", 0, 0.0, "")
+            raise SolverFailure("the springs to be made led to no optimum on the first mesh")
         start = joint.solution
     assert study.shop is not None
     with study.listener.count(name) as count:

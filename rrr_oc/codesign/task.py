@@ -14,6 +14,7 @@ from scipy.optimize import least_squares, minimize
 from rrr_oc.codesign.clearance import FLOOR, TOOL, Clearance, KeepOut, Surroundings, link_ends
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.effects import design_forms
+from rrr_oc.effects.springs import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
@@ -37,7 +38,6 @@ from rrr_oc.schema import (
 )
 
 PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
-PHASES = ("go", "return")
 NEAR = 1e-3  # [m] between the tool and a position that it reaches; angles and positions in files are rounded; doubled, nothing changes
 MILLIMETRES = 100.0  # times as far away as the tool comes, from which a position looks like one in mm; doubled, nothing changes
 TRIED = 8  # postures from which the one of least torque is sought; doubled, slower and surer
@@ -419,14 +419,22 @@ def _passed(where: str, task: Task, body: RigidBody, given: Sequence[Via]) -> tu
             goal, angles = inverse_kinematics(task, body, _goal(via), named)
         else:
             goal, angles = None, _angles(named, task, via.angles_deg)
-        for kept in task.kept(task.full(angles)):
-            if float(kept.value) < kept.least and (goal is None or kept.of == TOOL):
-                told = f"{kept.of} is {float(kept.value):.4f} m from {kept.name}; {kept.least:.4f} m or more is required"
-                raise UserError(f"{named}: {told}")
+        for kept in _broken(task, angles, goal):
+            raise UserError(f"{named}: {_too_near(kept)}")
         own = [j for j, other in enumerate(given) if other.phase == via.phase]
         share = via.time_share or (own.index(i) + 1) / (len(own) + 1)
         found.append(Passed(PHASES.index(via.phase), share, angles, goal))
     return tuple(found)
+
+
+def _broken(task: Task, angles: np.ndarray, goal: Goal | None) -> list[Clearance]:
+    """The distances that a posture does not keep; where others reach the same goal, those of the tool alone."""
+    kept = task.kept(task.full(angles))
+    return [one for one in kept if float(one.value) < one.least and (goal is None or one.of == TOOL)]
+
+
+def _too_near(kept: Clearance) -> str:
+    return f"{kept.of} is {float(kept.value):.4f} m from {kept.name}; {kept.least:.4f} m or more is required"
 
 
 def _with_tables(
@@ -468,19 +476,12 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
                     f"at {limits}, and {key} allows {most:g} s"
                 )
     for (end, q), goal in zip((("start", task.start), ("release", task.release)), task.goals, strict=True):
-        for kept in task.kept(task.full(q)):
-            at = float(kept.value)
-            if goal is not None and kept.of != TOOL:
-                continue  # another posture may be free of it
-            if at < kept.least and kept.name == FLOOR:
-                over = f"{task.around.floor:g} m" + f" and link_radius_m = {task.around.link_radius:g} m" * (
-                    at >= task.around.floor
-                )
+        for kept in _broken(task, q, goal):
+            at, floor = float(kept.value), task.around.floor
+            if kept.name == FLOOR:
+                over = f"{floor:g} m" + f" and link_radius_m = {task.around.link_radius:g} m" * (at >= floor)
                 raise UserError(f"{where}: at the {end} {kept.of} stands {at:.4f} m high, below floor_m = {over}")
-            if at < kept.least:
-                raise UserError(
-                    f"{where}: at the {end} {kept.of} is {at:.4f} m from {kept.name}; {kept.least:.4f} m or more is required"
-                )
+            raise UserError(f"{where}: at the {end} {_too_near(kept)}")
 
 
 def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:

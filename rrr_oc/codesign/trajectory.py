@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from rrr_oc.codesign.optimum import SAVED, SampledMotion
 from rrr_oc.codesign.task import Task
 from rrr_oc.errors import UserError
+from rrr_oc.model.motion import Motion
 from rrr_oc.storage import read_npz
 
 LARGEST = 1_000_000  # points of a file; more are a rate in the wrong unit; doubled, a file has some 300 MB
@@ -20,25 +21,17 @@ URSCRIPT_JOINTS = 6
 LOOKAHEAD, GAIN = 0.03, 2000  # [s], [1] of servoj: its least and its largest, which follow most closely
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """A motion at equal steps, and at its last instant.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Trajectory(Motion):
+    """The motion of all drives at equal steps, and at its last instant.
 
     Attributes:
         joints: Names of all joints of the robot, base first.
-        t: Time since the start [s], (K,).
-        q, dq, ddq: Positions [rad], speeds [rad/s], accelerations [rad/s²] of the drives, (n, K).
         torque: Load torque of the design [Nm], which a controller may feed forward; 0 of joints that the task holds, (n, K).
-        payload: Mass at the tool [kg], (K,).
     """
 
     joints: tuple[str, ...]
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
     torque: np.ndarray
-    payload: np.ndarray
 
 
 def saved_motion(path: Path, task: Task) -> SampledMotion:
@@ -79,8 +72,8 @@ def sampled(motion: SampledMotion, task: Task, rate: float) -> Trajectory:
         rows.append(np.vstack([position(at), speed(at), between]))
     m = len(task.moving)
     q, dq, ddq, torque, payload = np.split(np.hstack(rows), [m, 2 * m, 3 * m, 4 * m])
-    speeds, accelerations, torques = (task.full_rates(x) for x in (dq, ddq, torque))
-    return Trajectory(task.robot.joints, t, task.full(q), speeds, accelerations, torques, payload[0])
+    dq, ddq, torque = (task.full_rates(x) for x in (dq, ddq, torque))
+    return Trajectory(t, task.full(q), dq, ddq, payload[0], joints=task.robot.joints, torque=torque)
 
 
 def as_csv(trajectory: Trajectory) -> str:

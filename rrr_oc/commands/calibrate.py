@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, note_without_compiler, unexplained_torques
@@ -81,19 +80,19 @@ def _show_model(model: CalibratedModel, output: Output) -> None:
     from rrr_oc.report.diagnosis_words import if_identified, measured, off_links
     from rrr_oc.schema import built
 
-    table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
+    rows = []
     for term in model.terms:
         for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
             interval = "not determined" if e.interval is None else f"{e.interval[0]:.4g} … {e.interval[1]:.4g}"
             interval = "–" if e.at_bound and e.interval is not None and e.interval[0] == e.interval[1] else interval
             joints = ", ".join(model.joints[j] for j in term.effect.joints)
             held = "at its bound" if e.at_bound else ""
-            table.add_row(term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held)
-    output.show(table)
-    joints = Table("joint", "NRMSE of the torque", "noise [Nm]")
-    for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
-        joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
-    output.show(joints)
+            rows.append([term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held])
+    output.table(["effect", "joint", "parameter", "value", "95 % interval", "unit", ""], rows)
+    own = zip(model.joints, model.nrmse, model.noise, strict=True)
+    output.table(
+        ["joint", "NRMSE of the torque", "noise [Nm]"], [[j, f"{nrmse:.4f}", f"{noise:.4g}"] for j, nrmse, noise in own]
+    )
     links, unidentified = (built(model.report.get(key, []), list[OffLink]) for key in ("link_findings", "if_identified"))
     measurement = built(model.report.get("measurement", {}), dict[str, Measured])
     for line in [*off_links(links), *if_identified(unidentified), *measured(measurement)]:

@@ -4,7 +4,6 @@ from dataclasses import asdict
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, doubted, loaded
@@ -25,10 +24,8 @@ def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None
     by_joint = {joint: x if np.isfinite(x) else None for joint, x in zip(recordings.joints, found.nrmse, strict=True)}
     said = [asdict(doubt) for doubt in found.doubts]
     output.result(plain({"doubts": said, "notes": recordings.notes, "nrmse": by_joint, "diagnosis_s": found.diagnosis_s}))
-    table = Table("joint", "NRMSE of the torque, rigid arm with friction")
-    for joint, nrmse in by_joint.items():
-        table.add_row(joint, "never changes" if nrmse is None else f"{nrmse:.2g}")
-    output.show(table)
+    rows = [[joint, "never changes" if nrmse is None else f"{nrmse:.2g}"] for joint, nrmse in by_joint.items()]
+    output.table(["joint", "NRMSE of the torque, rigid arm with friction"], rows)
     poor = [joint for joint, nrmse in by_joint.items() if nrmse is not None and nrmse > WORTHLESS]
     if poor:
         checked = (

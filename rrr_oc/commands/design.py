@@ -1,7 +1,6 @@
 """`rrr-oc design`: springs and motion of a task, designed together."""
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, cast, get_args
 
@@ -18,7 +17,7 @@ from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line, note_without_compiler
+from rrr_oc.commands.shared import MOST, Jobs, Seed, Workers, check_apart, command_line, note_without_compiler
 from rrr_oc.data.published import published_springs
 from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
@@ -54,6 +53,7 @@ Springs = Annotated[
 Rounds = Annotated[
     int, typer.Option(min=1, max=MOST, help="times that motions are searched for the springs found last, at most")
 ]
+Tolerance = Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")]
 Intervals = Annotated[
     int,
     typer.Option(min=8, max=MOST, help="of a phase on the first fine mesh, which the tolerance refines; fewer are faster"),
@@ -70,7 +70,7 @@ def design(
         typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
     ] = None,
     starts: Starts = SearchOptions.starts,
-    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
+    seed: Seed = 0,
     motions: Motions = SearchOptions.motions,
     springs: Springs = SearchOptions.springs,
     rounds: Rounds = SearchOptions.rounds,
@@ -79,7 +79,7 @@ def design(
     ] = "load",
     actuators: Annotated[str | None, typer.Option(help=f"what drives the joints: {DRIVES}")] = None,
     catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
-    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
+    tolerance: Tolerance = 1e-6,
     model: Annotated[Path | None, typer.Option(help="model.json of calibrate or diagnose: optima are tracked in it")] = None,
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
@@ -111,9 +111,8 @@ def design(
     search = SearchOptions(
         starts=starts, seed=seed, motions=motions, springs=springs, rounds=rounds, refinement=Refinement(tolerance)
     )
-    search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     request = Request(
-        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front, price, cast(Over, over),
+        task, out, _names(configurations), search.on(intervals), cost, actuators, catalogue, model, repaired, front, price, cast(Over, over),
         _times(cycle_times),
     )  # fmt: skip
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]

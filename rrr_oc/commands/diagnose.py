@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from rrr_oc import __version__, parallel
 from rrr_oc.commands.output import Json, Output, Quiet
@@ -113,26 +112,11 @@ def _show_diagnosis(found: DiagnosisFile, output: Output) -> None:
     output.show(said)
     for line in [*map(told.plain, told.missing(found)), *map(told.unexplained, found.unexplained)]:
         output.show(line)
-    header, body = told.rows(found)
-    table = Table(*header)
-    for row in body:
-        table.add_row(*row)
-    if body:
-        output.show(table)
-    header, body = small(found)
-    if body:
+    output.table(*told.rows(found))
+    if found.small:
         output.show(told.SMALL)
-        table = Table(*header)
-        for row in body:
-            table.add_row(*row)
-        output.show(table)
-    header, body = told.anatomy(found)
-    if body:
-        table = Table(*header)
-        table.title = "Error on data left out, in percent of that of the robot's file, as parts are added"
-        for row in body:
-            table.add_row(*row)
-        output.show(table)
+        output.table(*small(found))
+    output.table(*told.anatomy(found), "Error on data left out, in percent of that of the robot's file, as parts are added")
     parts = (
         told.events,
         told.wanders,
@@ -146,12 +130,12 @@ def _show_diagnosis(found: DiagnosisFile, output: Output) -> None:
     )
     for line in told.unsaid([line for part in parts for line in part(found)], said):
         output.show(line)
-    errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
-    errors.title = "Error held out, of the torque's standard deviation"
+    rows = []
     for joint, b in found.bootstrap.items():
         interval = b.ratio.interval
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
-        errors.add_row(joint_words(joint), *(told.error(one) for one in (b.before, b.after)), ratio)
-    output.show(errors)
+        rows.append([joint_words(joint), *(told.error(one) for one in (b.before, b.after)), ratio])
+    header = ["joint", "plain model", "extended model", "extended / plain, 95 % interval"]
+    output.table(header, rows, "Error held out, of the torque's standard deviation")
     for line in told.extrapolated(found):
         output.show(line)

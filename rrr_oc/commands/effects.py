@@ -3,7 +3,6 @@
 from typing import Any
 
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.effects import CATALOGUE
@@ -18,12 +17,12 @@ def effects(quiet: Quiet = False, as_json: Json = False) -> None:
     """List the effects of the catalogue: their laws, parameters and units, and where they act."""
     output = Output(quiet, as_json)
     output.result({"effects": [_described(kind) for kind in CATALOGUE.values()], "acts_on": SIDES})
-    table = Table("effect", "law", "parameters", "acts on", "where", show_lines=True)
+    rows = []
     for kind in CATALOGUE.values():
         known = _parameters(kind)
         parameters = "coefficients [Nm]" if known is None else ", ".join(f"{p.name} [{p.unit}]" for p in known)
-        table.add_row(kind.name, kind.equation, parameters, kind.side, PLACEMENTS[kind.placement])
-    output.show(table)
+        rows.append([kind.name, kind.equation, parameters, kind.side, PLACEMENTS[kind.placement]])
+    output.table(["effect", "law", "parameters", "acts on", "where"], rows, lines=True)
     for side, meaning in SIDES.items():
         output.show(f"{side}: {meaning}.")
 

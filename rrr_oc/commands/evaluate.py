@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded, note_without_compiler
+from rrr_oc.commands.shared import Dataset, Model, Window, check_apart, check_window, loaded, note_without_compiler, show_errors
 from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
@@ -21,7 +21,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="file for the result as JSON; without it, it goes to stdout")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
     predictions: Annotated[Path | None, typer.Option(help="folder for one CSV of predictions per recording")] = None,
-    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")] = WINDOW,
+    window: Window = WINDOW,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -54,4 +54,4 @@ def evaluate(
         return
     write_json(out, result)
     output.result(result)
-    output.show(error_table(result))
+    show_errors(result, output)

@@ -6,11 +6,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import MOST, Jobs, Joints, Workers, check_apart, check_payload, named
+from rrr_oc.commands.shared import MOST, Jobs, Joints, Seed, Workers, check_apart, check_payload, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, ExcitationSearch
@@ -47,7 +46,7 @@ def excite(
     ] = None,
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
     starts: Annotated[int, typer.Option(min=1, max=MOST, help="random starts of the search")] = 3,
-    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
+    seed: Seed = 0,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
@@ -83,8 +82,7 @@ def excite(
     write_csv(out, {"t": motion.t, **columns})
     result = _result(rig, asked, found)
     output.result(result | {"path": str(out)})
-    for table in _tables(result):
-        output.show(table)
+    _show_motion(result, output)
     if asked.inseparable:
         output.show(f"No motion determines these apart from the parameters above: {', '.join(asked.inseparable)}.")
     output.show(_what_to_do(out, robot, float(motion.t[-1])))
@@ -146,14 +144,16 @@ def _result(rig: Rig, asked: Information, found: Excitation) -> dict[str, Any]:
     }
 
 
-def _tables(result: dict[str, Any]) -> list[Table]:
-    motion = Table("joint", "position [°]", "speed [rad/s]", "acceleration [rad/s²]")
+def _show_motion(result: dict[str, Any], output: Output) -> None:
+    rows = []
     for joint, spans in result["joints"].items():
         q = np.degrees(spans["position_rad"])
         fastest = (f"{max(map(abs, spans[kind])):.2f}" for kind in ("speed_rad_per_s", "acceleration_rad_per_s2"))
-        motion.add_row(joint, f"{q[0]:.0f} … {q[1]:.0f}", *fastest)
+        rows.append([joint, f"{q[0]:.0f} … {q[1]:.0f}", *fastest])
+    output.table(["joint", "position [°]", "speed [rad/s]", "acceleration [rad/s²]"], rows)
     title = f"standard error, for noise of {result['noise_Nm']:g} Nm in each of {result['samples']} samples"
-    errors = Table("parameter", title, "unit")
-    for name, error in result["standard_errors"].items():
-        errors.add_row(name, "not determined" if error["value"] is None else f"{error['value']:.3g}", error["unit"])
-    return [motion, errors]
+    errors = [
+        [name, "not determined" if error["value"] is None else f"{error['value']:.3g}", error["unit"]]
+        for name, error in result["standard_errors"].items()
+    ]
+    output.table(["parameter", title, "unit"], errors)

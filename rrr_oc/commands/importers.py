@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Joints, named
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import JointStates, import_arrays, import_csv, import_lerobot, import_prototype, import_ros
 from rrr_oc.recordings.importers.lerobot import Efforts
@@ -41,7 +41,7 @@ def ros(
     ],
     robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
-    joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
+    joints: Joints = None,
     topic: Annotated[str | None, typer.Option(help="of the joint states; default: the only one there is")] = None,
     torque: Annotated[str, typer.Option(help="what the efforts are: motor or load torque [Nm], or current [A]")] = "motor",
     torque_constant: Annotated[str | None, typer.Option(help="JOINT=Nm/A, comma-separated, for currents")] = None,
@@ -50,8 +50,7 @@ def ros(
     as_json: Json = False,
 ) -> None:
     """Bags of ROS 1 and ROS 2."""
-    names = None if joints is None else [name.strip() for name in joints.split(",")]
-    states = JointStates(names, topic, torque, inertial, _numbers("--torque-constant", torque_constant))
+    states = JointStates(named(joints), topic, torque, inertial, _numbers("--torque-constant", torque_constant))
     _show_set(import_ros(files, robot, out, states), Output(quiet, as_json))
 
 
@@ -138,9 +137,16 @@ def _show_set(recordings: RecordingSet, output: Output) -> None:
         for r in recordings.recordings
     ]
     output.result({"path": str(recordings.path), "recordings": rows})
-    table = Table("recording", "rows", "seconds", "payload [kg]", "springs", "rows dropped")
-    for r in rows:
-        springs, dropped = ", ".join(r["springs"]), str(r["rows_dropped"])
-        table.add_row(r["file"], str(r["rows"]), f"{r['seconds']:.1f}", f"{r['payload_kg']:g}", springs, dropped)
-    output.show(table)
+    shown = [
+        [
+            r["file"],
+            str(r["rows"]),
+            f"{r['seconds']:.1f}",
+            f"{r['payload_kg']:g}",
+            ", ".join(r["springs"]),
+            str(r["rows_dropped"]),
+        ]
+        for r in rows
+    ]
+    output.table(["recording", "rows", "seconds", "payload [kg]", "springs", "rows dropped"], shown)
     output.show(f"{recordings.path} holds the set.")

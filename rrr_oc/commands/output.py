@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
 from rich.text import Text
 
 from rrr_oc.errors import printable
@@ -83,6 +84,16 @@ class Output:
         """A table, or a sentence that is not broken into lines, for people."""
         if _kept_results.get() is None and not (self.quiet or self.as_json):
             self._result.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
+
+    def table(
+        self, header: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None, lines: bool = False
+    ) -> None:
+        """A table for people, with `lines` between its rows if asked for; none without rows."""
+        table = Table(*header, title=title, show_lines=lines)
+        for row in rows:
+            table.add_row(*row)
+        if table.rows:
+            self.show(table)
 
     def result(self, content: Any) -> None:
         """The result for programs, of plain data without NaN."""

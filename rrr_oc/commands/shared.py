@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from rrr_oc import compiler
 from rrr_oc.commands.output import Output
@@ -28,6 +27,8 @@ Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagno
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
 
 MOST = 100_000  # of what is counted, as starts and intervals; a hundred times that takes all memory
+Window = Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")]
+Seed = Annotated[int, typer.Option(min=0, help="of the random starts")]
 Jobs = Annotated[int, typer.Option(help="processes on this machine; -1: one a core")]
 Workers = Annotated[str, typer.Option(help="local, or the address of a Dask scheduler, as tcp://host:8786")]
 
@@ -127,11 +128,12 @@ def shown(value: float | None) -> str:
     return "–" if value is None else f"{value:.4g}"
 
 
-def error_table(result: dict[str, Any]) -> Table:
+def show_errors(result: dict[str, Any], output: Output) -> None:
     """The means of `summary` by way, joint and signal."""
-    table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
-    for way, joints in result["mean"].items():
-        for joint, found in joints.items():
-            for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
-                table.add_row(way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse")))
-    return table
+    rows = [
+        [way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse"))]
+        for way, joints in result["mean"].items()
+        for joint, found in joints.items()
+        for signal, errors in (found.items() if way == "simulated" else [("recorded", found)])
+    ]
+    output.table(["way", "joint", "signal", "mean NRMSE", "mean RMSE"], rows)

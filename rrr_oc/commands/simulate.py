@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded, note_without_compiler
+from rrr_oc.commands.shared import Dataset, Model, Window, check_apart, check_window, loaded, note_without_compiler, show_errors
 from rrr_oc.errors import ends_at_once
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_folder
@@ -20,7 +20,7 @@ def simulate(
     model: Model,
     dataset: Dataset,
     out: Annotated[Path, typer.Option(help="folder for one CSV a recording: positions, speeds, accelerations, torques")],
-    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")] = WINDOW,
+    window: Window = WINDOW,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -49,5 +49,5 @@ def simulate(
         key: {"simulated": part["simulated"]} if key == "mean" else part for key, part in result.items() if key != "inverse"
     }
     output.result(result)
-    output.show(error_table(result))
+    show_errors(result, output)
     output.show(f"{out} holds the predictions.")

@@ -11,7 +11,7 @@ from rrr_oc.comparison.fleet import Fleet
 from rrr_oc.comparison.models import LEVEL, Alone, Change, Compared
 from rrr_oc.diagnosis.diagnosis_file import ClaimEntry, DiagnosisFile, Unexplained
 from rrr_oc.effects.words import NORMAL, Number, joint_words, listed, rounded, words
-from rrr_oc.report.diagnosis_words import DEGREES, called, percent
+from rrr_oc.report.diagnosis_words import called, percent, read_in
 from rrr_oc.report.tables import spring_unit
 
 Both = tuple[float | None, float | None]
@@ -28,7 +28,7 @@ ELSEWHERE = {
 
 def change_row(one: Change) -> list[str]:
     """A number that both models have, in the units of the console; its columns are `CHANGES`."""
-    factor, unit = DEGREES.get(one.unit, (1.0, f" {one.unit}" * (one.unit != "1")))
+    factor, unit = read_in(one.unit)
     wide = [0.0 if std is None else NORMAL * std * factor for std in (one.std_a, one.std_b)]
     a, b = (f"{rounded(x * factor, half)}{unit}" for x, half in zip((one.a, one.b), wide, strict=True))
     difference = rounded((one.b - one.a) * factor, max(wide)) + unit
@@ -82,7 +82,7 @@ def _present(one: Alone) -> str:
 
 
 def _number(value: float, std: float | None, unit: str) -> str:
-    factor, shown = DEGREES.get(unit, (1.0, unit))
+    factor, shown = read_in(unit)
     half = NORMAL * (std or 0.0)
     return str(Number(value, shown.strip(), (value - half, value + half) if half else None) * factor)
 
@@ -147,7 +147,7 @@ def outlier_table(found: Fleet) -> tuple[list[str], list[list[str]]]:
     rows = []
     for one in found.outliers:
         what, joints, parameter, _, own, *_ = change_row(one.of)
-        factor, unit = DEGREES.get(one.of.unit, (1.0, f" {one.of.unit}" * (one.of.unit != "1")))
+        factor, unit = read_in(one.of.unit)
         half = NORMAL * factor * (one.of.std_b or 0.0)
         rows.append([one.arm, what, joints, parameter, own, f"{rounded(one.median * factor, half)}{unit}", f"{one.times:.1f}"])
     return ["arm", "what", "joint", "parameter", "value", "median of all", "standard deviations off"], rows
@@ -172,7 +172,7 @@ def _cell(cell: Any) -> str:
 
 
 def _with_error(value: float, std: float | None, unit: str) -> str:
-    factor, shown = DEGREES.get(unit, (1.0, f" {unit}" * (unit != "1")))
+    factor, shown = read_in(unit)
     half = NORMAL * factor * (std or 0.0)
     return f"{rounded(factor * value, half)}{f' ± {rounded(half, half)}' * bool(half)}{shown}"
 

@@ -162,11 +162,10 @@ class _Problem:
         """x -> the cost, −log det S / its size."""
         x, full, _ = self._symbols
         n, m = full[0].shape
-        p, b = len(self.information.scale), len(self.information.nuisance)
+        p = len(self.information.scale)
         values = self.information.rows.map(m)(*full)
         stacked = ca.vertcat(*[ca.reshape(values[i, :], p, m).T for i in range(n)])
-        factor = _cholesky(p, b)(stacked.T @ stacked / m)
-        cost = -2 * ca.sum1(ca.log(ca.diag(factor))) / (p - b)
+        cost = -2 * ca.sum1(ca.log(ca.diag(_cholesky(p)(stacked.T @ stacked / m)))) / p
         return ca.Function("criterion", [ca.vec(x)], [cost])
 
     @cached_property
@@ -279,8 +278,7 @@ class _Problem:
         return self.series.motion(x, self.rig.limits, np.arange(count) * self.series.duration / count)
 
 
-def _cholesky(p: int, b: int) -> ca.Function:
-    """F (p, p) -> R (p − b, p − b) with S = Rᵀ R; 1e-10 on the diagonal keeps it real."""
-    matrix = ca.SX.sym("F", p, p)
-    factor = ca.chol(ca.tril2symm(ca.tril(matrix)) + 1e-10 * ca.SX.eye(p))[b:, b:]
-    return ca.Function("cholesky", [matrix], [factor])
+def _cholesky(p: int) -> ca.Function:
+    """S -> R with S = Rᵀ R, (p, p) each; 1e-10 on the diagonal keeps it real."""
+    matrix = ca.SX.sym("S", p, p)
+    return ca.Function("cholesky", [matrix], [ca.chol(ca.tril2symm(ca.tril(matrix)) + 1e-10 * ca.SX.eye(p))])

@@ -1,9 +1,8 @@
-"""The information of a motion on chosen parameters, beside others that are unknown too.
+"""The information of a motion on chosen parameters.
 
 A motion's information on parameters theta, from torques with noise of standard deviation sigma_i on joint i, is
-F = mean over time of Yᵀ W Y with Y = d tau / d theta (n, p) and W = diag(1/sigma²). Where only some parameters are of
-interest (a) and others (b) must be estimated beside them, what is left on the first is the Schur complement
-S = F_aa − F_ab F_bb⁻¹ F_ba. A design of greatest log det S is called D-optimal: the volume of the confidence ellipsoid goes
+S = mean over time of Yᵀ W Y with Y = d tau / d theta (n, p) and W = diag(1/sigma²).
+A design of greatest log det S is called D-optimal: the volume of the confidence ellipsoid goes
 with exp(−log det S / 2). The condition number of S says how unevenly the information is spread over the parameters
 (Gautier & Khalil, Int. J. Robotics Research 11 (1992) 362–375; cited from memory).
 """
@@ -22,6 +21,7 @@ from rrr_oc.model.motion import Motion
 
 INERTIAL = ("mass", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz")  # the rows of `Robot.inertial`
 SAMPLES = 400  # random states by which columns are scaled, and linear dependence is found
+INDEPENDENT = 1e-7  # [1] of a column's RMS, from which it depends on no others; doubled, nothing changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +58,17 @@ class Information:
     """How motions of a rig determine parameters: columns of the torque's Jacobian, each scaled to a torque of RMS `noise`.
 
     The scale is the column's RMS over random states within the limits, so that all that follows is free of units. Of linearly
-    dependent columns (the inertial ones always are), an independent choice is kept, nuisance first: base parameters.
+    dependent columns (the inertial ones always are), an independent choice is kept: base parameters.
 
     Attributes:
         rig: The arm that moves.
-        nuisance, interest: Names of the columns kept, in the order of `rows`.
+        interest: Names of the columns kept, in the order of `rows`.
         inseparable: Parameters of interest that depend linearly on the columns kept, whatever the motion.
-        scale: Of the columns kept [Nm per unit of the parameter], nuisance first.
+        scale: Of the columns kept [Nm per unit of the parameter].
         rows: (q, dq, ddq) -> scaled columns (n, p).
     """
 
     rig: Rig
-    nuisance: tuple[str, ...]
     interest: tuple[str, ...]
     inseparable: tuple[str, ...]
     scale: np.ndarray
@@ -77,12 +76,11 @@ class Information:
 
     def matrix(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
         """S of a motion (n, K), one row and column a parameter of interest."""
-        p, b = len(self.scale), len(self.nuisance)
-        stacked = _stack(np.asarray(self.rows.map(q.shape[1])(q, dq, ddq)), p)
-        whole = np.asarray(
+        stacked = _stack(np.asarray(self.rows.map(q.shape[1])(q, dq, ddq)), len(self.scale))
+        root = np.asarray(
             np.linalg.qr(stacked / math.sqrt(q.shape[1]), mode="r")
-        )  # so that the condition number is not squared
-        return whole[b:, b:].T @ whole[b:, b:]
+        )  # keeps the condition number from being squared
+        return root.T @ root
 
     def log_det(self, motion: Motion) -> float:
         """log det S [nat]; −infinity where the motion leaves a parameter undetermined."""
@@ -95,10 +93,10 @@ class Information:
         The diagonal of (K S)⁻¹ for K samples whose noise is independent; where it is not, they are larger by the same factor.
         Infinite where the motion leaves a parameter undetermined.
         """
-        whole, scale = self.matrix(motion.q, motion.dq, motion.ddq) * motion.q.shape[1], self.scale[len(self.nuisance) :]
-        if np.linalg.matrix_rank(whole, hermitian=True) < len(scale):
+        whole = self.matrix(motion.q, motion.dq, motion.ddq) * motion.q.shape[1]
+        if np.linalg.matrix_rank(whole, hermitian=True) < len(whole):
             return dict.fromkeys(self.interest, math.inf)
-        return dict(zip(self.interest, (np.sqrt(np.diag(np.linalg.inv(whole))) / scale).tolist(), strict=True))
+        return dict(zip(self.interest, (np.sqrt(np.diag(np.linalg.inv(whole))) / self.scale).tolist(), strict=True))
 
     def condition(self, motion: Motion) -> float:
         """Condition number of S."""
@@ -108,25 +106,22 @@ class Information:
 def information(
     rig: Rig,
     interest: Sequence[str],
-    nuisance: Sequence[str] = (),
     noise: float | np.ndarray = 1.0,
     sensitivity: Sensitivity | None = None,
 ) -> Information:
-    """The information that motions of a rig contain on parameters of interest, beside unknown nuisance parameters.
+    """The information that motions of a rig contain on parameters of interest.
 
     Args:
         noise: Standard deviation of the torques [Nm], scalar or (n,).
-        sensitivity: Default: `model_sensitivity(rig)`. Parameters that are neither of interest nor nuisance are known.
+        sensitivity: Default: `model_sensitivity(rig)`. Parameters that are not of interest are known.
 
     Raises:
         UserError: A parameter is unknown or named twice; noise is not above 0; no motion determines any parameter of interest.
     """
     sensitivity = model_sensitivity(rig) if sensitivity is None else sensitivity
-    n, b, names = rig.model.robot.n, len(nuisance), [*nuisance, *interest]
-    if not set(names) <= set(sensitivity.names) or len(set(names)) < len(names) or not interest:
-        raise UserError(
-            f"parameters of interest and nuisance must be different ones of {', '.join(sensitivity.names)}; got {names}"
-        )
+    n, names = rig.model.robot.n, list(interest)
+    if not set(names) <= set(sensitivity.names) or len(set(names)) < len(names) or not names:
+        raise UserError(f"parameters of interest must be different ones of {', '.join(sensitivity.names)}; got {names}")
     if not (np.all(np.asarray(noise) > 0) and np.all(np.isfinite(noise))):
         raise UserError(f"noise must be above 0 and finite, got {noise} Nm")
     columns, weight = [sensitivity.names.index(name) for name in names], 1 / np.broadcast_to(np.asarray(noise, float), (n,))
@@ -136,27 +131,18 @@ def information(
     values = _stack(np.asarray(sampled), len(names))
     size = np.sqrt(np.mean(values**2, axis=0) * n)
     scale = np.where(size > 1e-12 * np.max(size, initial=1e-300), size, np.inf)  # a column of zeros holds no information
-    unit = values / scale
-    kept_b = _independent(unit[:, :b])
-    basis = np.linalg.qr(unit[:, kept_b])[0]
-    kept_a = b + _independent(unit[:, b:] - basis @ (basis.T @ unit[:, b:]))
-    if not kept_a.size:
-        raise UserError(
-            f"no motion within the limits distinguishes {', '.join(interest)} from {', '.join(nuisance) or 'a torque of zero'}"
-        )
-    kept, lost = [*kept_b, *kept_a], tuple(name for i, name in enumerate(names) if i >= b and i not in kept_a)
-    rows = ca.densify(wanted[:, kept] @ ca.diag(ca.DM(1 / scale[kept])))
-    chosen = tuple(names[i] for i in kept)
-    function = ca.Function("rows", [*motion], [rows])
-    return Information(rig, chosen[: len(kept_b)], chosen[len(kept_b) :], lost, scale[kept], function)
+    kept = _independent(values / scale).tolist()
+    if not kept:
+        raise UserError(f"no motion within the limits distinguishes {', '.join(names)} from a torque of zero")
+    function = ca.Function("rows", [*motion], [ca.densify(wanted[:, kept] @ ca.diag(ca.DM(1 / scale[kept])))])
+    lost = tuple(name for i, name in enumerate(names) if i not in kept)
+    return Information(rig, tuple(names[i] for i in kept), lost, scale[kept], function)
 
 
-def _independent(columns: np.ndarray, tolerance: float = 1e-7) -> np.ndarray:
+def _independent(columns: np.ndarray) -> np.ndarray:
     """Indices of an independent choice of columns whose RMS is of order 1: QR with pivoting, as Gautier's base parameters."""
-    if columns.shape[1] == 0:
-        return np.zeros(0, int)
     factor, order = scipy.linalg.qr(columns, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
-    rank = int(np.sum(np.abs(np.diag(factor)) > tolerance * math.sqrt(len(columns))))
+    rank = int(np.sum(np.abs(np.diag(factor)) > INDEPENDENT * math.sqrt(len(columns))))
     return np.sort(order[:rank])
 
 

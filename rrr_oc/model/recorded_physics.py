@@ -11,7 +11,7 @@ import numpy as np
 
 from rrr_oc.effects import Effect, FollowsLoad, LoopChange, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
 from rrr_oc.model.motion import Motion
-from rrr_oc.model.parameters import for_each, offsets
+from rrr_oc.model.parameters import by_effect, for_each, offsets
 from rrr_oc.model.shared_model import KEPT, shared_model
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
@@ -331,11 +331,9 @@ class Physics:
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
         """Each effect with its parameters by name and its width."""
-        numbers, widths = iter(self.theta.tolist()), iter(self.widths.tolist())
-        return [
-            (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
-            for e in self.model.effects
-        ]
+        widths = iter(self.widths.tolist())
+        pairs = by_effect(self.model.effects, self.theta.tolist())
+        return [(e, named, next(widths) if e.width is not None else None) for e, named in pairs]
 
 
 @lru_cache(maxsize=KEPT)

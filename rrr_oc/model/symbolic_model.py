@@ -10,7 +10,7 @@ import numpy as np
 
 from rrr_oc.effects import Body, BodyChange, Effect, OnlyRecorded, Signals
 from rrr_oc.errors import UserError
-from rrr_oc.model.parameters import offsets
+from rrr_oc.model.parameters import by_effect
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot.robot import Robot, ToolPoint
@@ -71,8 +71,7 @@ class Model:
 
     def values(self, theta: Sequence[float] | np.ndarray) -> dict[str, dict[str, float]]:
         """The parameters by label and name; the inverse of `theta`."""
-        numbers = iter(np.asarray(theta, float).tolist())
-        return {self.label(e): {p.name: next(numbers) for p in e.parameters} for e in self.effects}
+        return {self.label(effect): named for effect, named in by_effect(self.effects, np.asarray(theta, float).tolist())}
 
     def effect_torques(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> list[ca.SX]:
         """Torque of each effect on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
@@ -252,8 +251,7 @@ class Model:
 
     def _unpacked(self, theta, widths):
         w = 0
-        for effect, first in zip(self.effects, offsets(self.effects), strict=False):
-            named = {p.name: theta[first + k] for k, p in enumerate(effect.parameters)}
+        for effect, named in by_effect(self.effects, theta):
             yield effect, named, widths[w] if effect.width is not None else None
             w += effect.width is not None
 

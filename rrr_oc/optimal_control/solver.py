@@ -19,7 +19,7 @@ WARM = 1e-7  # initial barrier parameter from a solution; doubled, IPOPT starts 
 class SolverFailure(Exception):
     """IPOPT found no optimum; has its `status` and `iterations`, and the largest `violation` (scaled) of what is `violated`."""
 
-    def __init__(self, status: str, iterations: int, violation: float, violated: str) -> None:
+    def __init__(self, status: str, iterations: int = 0, violation: float = 0.0, violated: str = "") -> None:
         self.status, self.iterations, self.violation, self.violated = status, iterations, violation, violated
         where = f"; most violated: {violated}, by {violation:.2g} (scaled)" if violation > 1e-6 else ""
         super().__init__(f"IPOPT stopped after {iterations} iterations with {status!r}{where}")

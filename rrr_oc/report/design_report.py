@@ -1,9 +1,17 @@
 """A co-design study in tables and sections, made from its summary alone, and its report in Markdown."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-from rrr_oc.codesign.design_file import ChoiceEntry, Compromise, Configuration, DesignFile, MovedEntry, QuantityEntry
+from rrr_oc.codesign.design_file import (
+    ChoiceEntry,
+    Compromise,
+    Configuration,
+    DesignFile,
+    MetricsEntry,
+    MovedEntry,
+    QuantityEntry,
+)
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
 from rrr_oc.report import design_words as say
@@ -75,8 +83,7 @@ def sections(study: DesignFile) -> list[Section]:
 
 
 def _optima(study: DesignFile) -> Iterator[Passage]:
-    notes = " ".join(f"“{name}”: {words}" for name, words in columns_in_words(study).items())
-    yield Passage(table=optima_table(study), note=notes)
+    yield Passage(table=optima_table(study), note=_notes(columns_in_words(study)))
     motors = motors_table(study)
     if motors is not None:
         yield Passage(said=(MOTORS,), table=motors, note=MOTORS_NOTE)
@@ -221,17 +228,18 @@ def optima_table(study: DesignFile) -> Table:
     """A row for each configuration: the cost, where the motors are known also their squared torque, and of the paper's tasks the cost with the
     springs that it published."""
     known = study.single and all(c.first.motors is not None for c in study.configurations.values())
-    beside, of = (f"{say.MOTOR_TORQUE} [N²m²s]", of_motors)
-    if study.quantity.name == say.MOTOR_TORQUE:
-        beside, of = "E1 [N²m²s]", of_load
+    of_load = study.quantity.name == say.MOTOR_TORQUE  # else of the motors
+    beside = f"{'E1' if of_load else say.MOTOR_TORQUE} [N²m²s]"
     header = ["", study.quantity.title, "decrease", *([beside, "decrease"] if known else [])]
     header += ["published springs"] * study.paper
     header += [*(QUALITY if study.single else SHARED), "wall [s]"]
-    stiff, rows = study.configurations.get("SA"), []
+    rows = []
     for name, c in study.configurations.items():
-        fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c.cost, stiff.cost):.1f} %"
-        cells = [name, small_too(c.cost), "springs do nothing" if c.does_nothing else fall]
-        cells += _with_decrease(study, name, of) if known else []
+        stiff = _stiff(study, name)
+        cells = [name, small_too(c.cost), "springs do nothing" if c.does_nothing else fall(c.cost, stiff and stiff.cost)]
+        if known:
+            own, other = ((one and (one.first if of_load else one.first.motors)) for one in (c, stiff))
+            cells += _with_decrease(own, other, "E1")
         if study.paper:
             cells.append("" if c.published_springs is None else f"{c.published_springs:.2f}")
         cells += _quality(c.first) if study.single else _compared(c)
@@ -239,31 +247,20 @@ def optima_table(study: DesignFile) -> Table:
     return header, rows
 
 
-def of_load(m: MovedEntry) -> float | None:
-    """E1 of a motion's load torque."""
-    return m.E1
+def fall(own: float | None, stiff: float | None) -> str:
+    """A decrease against stiff actuation; "" where there is none."""
+    return "" if own is None or not stiff else f"{100 * decrease(own, stiff):.1f} %"
 
 
-def of_motors(m: MovedEntry) -> float | None:
-    """The squared torque of a motion's motors; None where these are not known."""
-    return None if m.motors is None else m.motors.E1
+def _stiff(study: DesignFile, name: str) -> Configuration | None:
+    """Stiff actuation, with which a configuration is compared; None where it is that itself, or was not asked for."""
+    return None if name == "SA" else study.configurations.get("SA")
 
 
-def of_work(m: MovedEntry) -> float | None:
-    """The work of a motion's motors [J]; None where these are not known."""
-    return None if m.motors is None else m.motors.work_J
-
-
-def of_electricity(m: MovedEntry) -> float | None:
-    """The electrical energy of a motion [J]; None where motors or windings are not known."""
-    return None if m.motors is None else m.motors.electrical_J
-
-
-def _with_decrease(study: DesignFile, name: str, of: Callable[[MovedEntry], float | None]) -> list[str]:
-    """A number of a motion, and its decrease against stiff actuation."""
-    own, stiff = of(study.configurations[name].first), study.configurations.get("SA")
-    other = None if stiff is None or name == "SA" else of(stiff.first)
-    return [NONE if own is None else small_too(own), "" if own is None or not other else f"{100 * decrease(own, other):.1f} %"]
+def _with_decrease(own: MetricsEntry | None, stiff: MetricsEntry | None, what: str) -> list[str]:
+    """A figure of a motion, and its decrease against stiff actuation."""
+    value = None if own is None else getattr(own, what)
+    return [NONE if value is None else small_too(value), fall(value, stiff and getattr(stiff, what))]
 
 
 def motors_table(study: DesignFile) -> Table | None:
@@ -272,12 +269,14 @@ def motors_table(study: DesignFile) -> Table | None:
     known = {name: m for name, m in moved.items() if m is not None}
     if not study.single or not known:
         return None
-    columns = [(f"{say.MOTOR_TORQUE} [N²m²s]", of_motors), ("work [J]", of_work)]
-    columns += [("electrical energy [J]", of_electricity)] * all(m.electrical_J is not None for m in known.values())
-    header = ["", *(cell for title, _ in columns for cell in (title, "decrease"))]
+    columns = {f"{say.MOTOR_TORQUE} [N²m²s]": "E1", "work [J]": "work_J"}
+    if all(m.electrical_J is not None for m in known.values()):
+        columns["electrical energy [J]"] = "electrical_J"
+    header = ["", *(cell for title in columns for cell in (title, "decrease"))]
     rows = []
     for name, m in known.items():
-        cells = [cell for _, of in columns for cell in _with_decrease(study, name, of)]
+        stiff = _stiff(study, name)
+        cells = [cell for what in columns.values() for cell in _with_decrease(m, stiff and stiff.first.motors, what)]
         rows.append([name, *cells, *(", ".join(f"{x:.3g}" for x in by.values()) for by in (m.rms, m.peak))])
     return [*header, f"RMS of {', '.join(study.moving)} [Nm]", "peak [Nm]"], rows
 
@@ -372,26 +371,30 @@ def order_table(c: Configuration) -> Table:
 def postures_table(study: DesignFile) -> Table:
     """Angles of the moving joints at the ends of each motion [°]."""
     rows = []
-    for name, c in study.configurations.items():
-        for task, m in c.tasks.items():
-            for end in ("start", "release"):
-                angles = [f"{math.degrees(angle):.2f}" for angle in getattr(m, end).values()]
-                rows.append([name if study.single else f"{name}, {task}", end, *angles])
+    for label, _, m in _motions(study.configurations):
+        for end in ("start", "release"):
+            rows.append([label, end, *(f"{math.degrees(angle):.2f}" for angle in getattr(m, end).values())])
     return ["", "end", *study.moving], rows
+
+
+def _motions(found: say.Found) -> Iterator[tuple[str, tuple[str, str], MovedEntry]]:
+    """Each motion, with what its row is called, and its configuration and task."""
+    for name, c in found.items():
+        for task, m in c.tasks.items():
+            yield (name if len(c.tasks) == 1 else f"{name}, {task}"), (name, task), m
 
 
 def transfer_table(found: say.Found) -> Table | None:
     """E1 in the calibrated twin and its decrease against stiff actuation, by both load torques; None without a twin."""
-    known = {(name, task): m.calibrated for name, c in found.items() for task, m in c.tasks.items() if m.calibrated is not None}
+    known = {of: (label, m.calibrated) for label, of, m in _motions(found) if m.calibrated is not None}
     if not known:
         return None
-    rows, single = [], len({task for _, task in known}) == 1
-    routes = ["engine"] + ["eq10"] * any(twin.eq10 is not None for twin in known.values())
-    for (name, task), twin in known.items():
-        cells, stiff = [name if single else f"{name}, {task}"], known.get(("SA", task))
+    rows, routes = [], ["engine"] + ["eq10"] * any(twin.eq10 is not None for _, twin in known.values())
+    for (name, task), (label, twin) in known.items():
+        cells, (_, stiff) = [label], known.get(("SA", task), ("", None))
         for route in routes:
             own, other = getattr(twin, route), None if stiff is None or name == "SA" else getattr(stiff, route)
-            less = "" if own is None or other is None else f"{100 * decrease(own.E1, other.E1):.1f} %"
+            less = own and fall(own.E1, other and other.E1)
             cells += [NONE, NONE] if own is None else [f"{own.E1:.2f}", less]  # without the drives there is no other route
         cells += [", ".join(f"{v:.1f}" for v in twin.motor.rms.values()), f"{twin.tracking_error_rad:.4f}"]
         rows.append([*cells, "yes" if twin.saturated else "no"])
@@ -447,8 +450,8 @@ def _at_each(cost: float, own: float, costs: Sequence[float | None], stiff: Sequ
     """A cost at its own cycle time [s], and those at others with their decrease against stiff actuation."""
     cells = [f"{small_too(cost)} ({own:.2f} s)"]
     for one, other in zip(costs, stiff, strict=True):
-        less = "" if one is None or other is None else f" ({100 * decrease(one, other):.1f} %)"
-        cells.append(NONE if one is None else small_too(one) + less)
+        less = fall(one, other)
+        cells.append(NONE if one is None else small_too(one) + f" ({less})" * bool(less))
     return cells
 
 
@@ -480,17 +483,13 @@ def scenarios_table(c: Configuration) -> Table:
 
 def foreseen_table(study: DesignFile) -> Table | None:
     """Ranges of E1, and of a cost that is another, of every motion; None without a calibrated model."""
-    known = {
-        (name, task): m for name, c in study.configurations.items() for task, m in c.tasks.items() if m.foreseen is not None
-    }
-    if not known:
-        return None
     other, rows = study.quantity.name != "E1", []
-    for (name, task), m in known.items():
-        f = m.foreseen
-        assert f is not None
-        cells = [name if study.single else f"{name}, {task}", f"{m.E1:.3f}", say.ends(f.E1), say.ratio(f.E1)]
-        rows.append([*cells, *([say.ends(f.cost), say.ratio(f.cost)] if other else []), f.narrowed_by or NONE])
+    for label, _, m in _motions(study.configurations):
+        if (f := m.foreseen) is not None:
+            cells = [label, f"{m.E1:.3f}", say.ends(f.E1), say.ratio(f.E1)]
+            rows.append([*cells, *([say.ends(f.cost), say.ratio(f.cost)] if other else []), f.narrowed_by or NONE])
+    if not rows:
+        return None
     more = [f"foreseen {study.quantity.title}", "upper over lower end"] if other else []
     return ["", "E1 planned [N²m²s]", "foreseen E1 [N²m²s]", "upper over lower end", *more, "narrowed by recording"], rows
 

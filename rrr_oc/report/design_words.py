@@ -16,6 +16,7 @@ from rrr_oc.codesign.design_file import (
     Priced,
     QuantityEntry,
 )
+from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.parts.limits import SpringLimits
 from rrr_oc.codesign.parts.order_list import Part
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -26,7 +27,7 @@ from rrr_oc.model.metrics import decrease
 from rrr_oc.report.tables import NONE, spring_unit
 
 MANY = 3.0  # times the planned E1 from which it is told as that
-MOTOR_TORQUE = "motor torque²"  # in tables, and the name of the cost
+MOTOR_TORQUE = COSTS["motor"].name
 AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
 OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
 UNDER = 0.005  # [m] below the base's plane from which a reader is warned; doubled, motions a little deeper are not told
@@ -245,15 +246,21 @@ def _number(name: str, value: float) -> str:
 
 def placed(label: str) -> str:
     """A spring's label in words: "parallel spring of joint2" for "parallel_spring[joint2]"."""
+    name, joints = _parted(label)
+    return f"{words(name)} of {listed(joints)}"
+
+
+def _parted(label: str) -> tuple[str, list[str]]:
+    """A spring's name and its joints, from its label."""
     name, _, joints = label.removesuffix("]").partition("[")
-    return f"{words(name)} of {listed(joints.split(','))}"
+    return name, joints.split(",")
 
 
 def mounts(c: Configuration) -> list[str]:
     """How each spring of a design is mounted, so that it can be built: where it acts, and where it pulls; a sentence each."""
     told = []
     for label, ways in c.mounted.items():
-        joints = [joint_words(joint) for joint in label.removesuffix("]").partition("[")[2].split(",")]
+        joints = [joint_words(joint) for joint in _parted(label)[1]]
         said = [f"in the phase “{ways.get('phase')}” only"] * ("phase" in ways)
         if "active" in ways:
             sign, where = (1, "below") if ways["active"] == "below" else (-1, "above")
@@ -515,11 +522,10 @@ def springs_of(point: Priced) -> str:
     """The springs of a point of the front and how each is mounted."""
     named = []
     for label, ways in point.mounted.items():
-        kind, joints = label.rstrip("]").split("[")
+        kind, joints = _parted(label)
         shown = [" ".join(f"{v:+d}" for v in way) if isinstance(way, list) else str(way) for way in ways.values()]
-        where = f"across {joints.replace(',', ' and ')}" if "," in joints else f"on {joints}"
-        name = kind.removesuffix("_spring").replace("_", " ")
-        named.append(f"{name} {where}" + (f" ({', '.join(shown)})" if shown else ""))
+        where = f"{'across' if len(joints) > 1 else 'on'} {' and '.join(joints)}"
+        named.append(f"{words(kind.removesuffix('_spring'))} {where}" + (f" ({', '.join(shown)})" if shown else ""))
     return ", ".join(named) or NONE
 
 

@@ -250,9 +250,14 @@ def worthless(joint: str, found: DiagnosisFile) -> str:
     )
 
 
+def read_in(unit: str) -> tuple[float, str]:
+    """Factor from a unit of the file to the one in which people read it, and that as it stands behind a number."""
+    return DEGREES.get(unit, (1.0, f" {unit}" * (unit != "1")))
+
+
 def place(where: file.PlaceEntry) -> str:
     """A range in which an error is concentrated, in words."""
-    factor, unit = DEGREES.get(where.unit, (1.0, f" {where.unit}"))
+    factor, unit = read_in(where.unit)
     low, high = (factor * x for x in where.range)
     ends = [rounded(x, (high - low) / 10) for x in (low, high)]
     where_it_is = f"of {rounded(low)}" if ends[0] == ends[1] else f"from {' to '.join(ends)}"
@@ -311,7 +316,7 @@ def variable(name: str) -> str:
 def of_variable(name: str) -> tuple[float, str]:
     """Factor from SI to the unit in which people read a variable of the file, and what is at its axis."""
     units = {"ddq": "rad/s²", "dq": "rad/s", "q": "rad", "load": "Nm", "time": "s"}
-    factor, unit = DEGREES.get(units[name.split("_")[0]], (1.0, f" {units[name.split('_')[0]]}"))
+    factor, unit = read_in(units[name.split("_")[0]])
     return factor, f"{variable(name).removeprefix('the ')} [{unit.strip()}]"
 
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from rrr_oc import __version__
 from rrr_oc.codesign.design_file import Configuration, DesignFile, QuantityEntry, TaskAsked, Unsure, data, typed
-from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
+from rrr_oc.codesign.design_problem import COSTS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
 from rrr_oc.codesign.study import Study, files_of
@@ -21,12 +21,9 @@ from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.kept import kept_motion
 from rrr_oc.report.design_figures import ARM, draw_all, read_motions, write_arm
 from rrr_oc.report.design_report import report
-from rrr_oc.report.design_words import MOTOR_TORQUE
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
-COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
-QUANTITIES = {"load": "E1", "motor": MOTOR_TORQUE, "energy": "energy"}  # names of the costs in tables and figures
 FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice", "cycle_times")
 FILES = ("summary.json", "report.md", "report.html", ARM, *(f"{name}.png" for name in FIGURES))
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
@@ -66,14 +63,14 @@ def summary(study: Study, found: Mapping[str, Configuration], wall_s: float, com
     """The content of summary.json; see `write_study`."""
     order, tasks, first = list(configurations()), study.tasks, study.tasks.first
     names = sorted(found, key=lambda name: (name.endswith("*"), order.index(name.rstrip("*"))))
-    cost = study.request.cost
+    cost = COSTS[study.request.cost]
     return DesignFile(
         name=tasks.name,
         tasks=tuple(_asked(task, float(weight)) for task, weight in zip(tasks.tasks, tasks.weights, strict=True)),
         objective=tasks.objective,
         uncertain=Unsure(tasks.payload, tasks.model, study.request.over),
         cost=cost_in_words(next(iter(study.designs.values()))[0].first),
-        quantity=QuantityEntry(QUANTITIES[cost], COST_UNITS[cost]),
+        quantity=QuantityEntry(cost.name, cost.unit),
         paper=study.published is not None,
         joints=first.robot.joints,
         moving=tuple(first.joints),
@@ -114,10 +111,10 @@ def _asked(task: Task, weight: float) -> TaskAsked:
 def cost_in_words(design: CoDesign) -> str:
     """What a study minimises, and of energy how much of the power that flows back is kept."""
     if design.cost != "energy" or design.actuators is None:
-        return COSTS[design.cost]
+        return COSTS[design.cost].words
     kept = zip(design.actuators.joints, design.actuators.regeneration, strict=True)
     shares = ", ".join(f"{100 * share:g} % ({joint})" for joint, share in kept)
-    return f"{COSTS['energy']}, of power that flows back {shares} kept"
+    return f"{COSTS['energy'].words}, of power that flows back {shares} kept"
 
 
 def outline_dxf(x: np.ndarray, y: np.ndarray) -> str:

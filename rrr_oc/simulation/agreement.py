@@ -20,7 +20,7 @@ from rrr_oc.robot.mjcf import compiled
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.simulation.engine_model import body_of
-from rrr_oc.simulation.export import as_in_a_file
+from rrr_oc.simulation.export import as_in_a_file, with_effects
 
 LARGEST = 0.01  # relative: a file that is further off is none of the model
 COUNT = (
@@ -53,7 +53,8 @@ def differences(
     model, theta, _ = as_in_a_file(model, theta)
     states, result = _states(model, motion), Differences()
     if "mjcf" in files and not any(isinstance(effect, MovesLink | MotionShift) for effect in model.effects):
-        result["mjcf"] = _largest(_of_mjcf(files["mjcf"], states), _of_model(*_that_files_have(model, theta), payload, states))
+        in_files = with_effects(model, theta, [_has_form(effect) for effect in model.effects])
+        result["mjcf"] = _largest(_of_mjcf(files["mjcf"], states), _of_model(*in_files, payload, states))
     if "urdf" in files:
         robot = replace(model.robot, inertial=body_of(model, theta).inertial)
         bare, read = Model(robot, robot.tool), load_robot(files["urdf"], robot.joints, True, tuple(robot.gravity), robot.held)
@@ -103,14 +104,8 @@ def _states(model: Model, motion: Motion | None) -> tuple[np.ndarray, ...]:
     return tuple(span * x for span, x in spans)
 
 
-def _that_files_have(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
-    """The model with the effects that an MJCF has in the same form, and their parameters."""
-    kept = [_has_form(effect) for effect in model.effects]
-    numbers = np.repeat(np.array(kept, bool), [len(effect.parameters) for effect in model.effects])
-    return replace(model, effects=tuple(e for e, has in zip(model.effects, kept, strict=True) if has)), theta[numbers]
-
-
 def _has_form(effect: Effect) -> bool:
+    """Whether an MJCF has the effect in the same form."""
     turns = effect.width is not None and effect.width.unit == "rad/s"
     return effect.side == "body" or (
         isinstance(effect, ExportTwin) and not effect.states and not turns and effect.side in ("link", "drive")

@@ -15,6 +15,7 @@ import numpy as np
 
 from rrr_oc.effects import Body, BodyChange, ExportTwin, MovesLink, NativeTwin
 from rrr_oc.errors import UserError
+from rrr_oc.model.parameters import by_effect
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.mjcf import built, refusal
@@ -248,10 +249,8 @@ def assembled(
 
 def body_of(model: Model, theta: np.ndarray) -> Body:
     """The rigid body changed by the effects of the side "body", in numbers; its `payload` is mass beyond the listed payload."""
-    robot, numbers = model.robot, iter(theta.tolist())
-    body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())
-    for effect in model.effects:
-        named = {p.name: next(numbers) for p in effect.parameters}
+    body = Body(model.robot.inertial, model.robot.gravity, 0.0, model.tool.position.tolist())
+    for effect, named in by_effect(model.effects, theta.tolist()):
         body = effect.change(body, named) if isinstance(effect, BodyChange) else body
     inertial = body.inertial if isinstance(body.inertial, np.ndarray) else np.array(ca.evalf(body.inertial))
     return Body(inertial, np.array(body.gravity, float), float(body.payload), np.array(body.position, float))
@@ -351,9 +350,8 @@ def _native(model: Model, sides: Sequence[str], forms: type[ExportTwin]) -> tupl
 
 def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, own: Sequence[ExportTwin | None]) -> tuple[bool, ...]:
     """Add MuJoCo's own forms, and actuators for internal states, to a spec; returns which effects remain for generated code."""
-    numbers, generated = iter(theta.tolist()), []
-    for i, (effect, form) in enumerate(zip(model.effects, own, strict=True)):
-        named = {p.name: next(numbers) for p in effect.parameters}
+    generated = []
+    for i, ((effect, named), form) in enumerate(zip(by_effect(model.effects, theta.tolist()), own, strict=True)):
         tendons, actuators = len(spec.tendons), len(spec.actuators)
         if form is not None:
             form.native(spec, model.robot.joints, named)
@@ -367,9 +365,8 @@ def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, own: Sequ
 
 def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: np.ndarray, timestep: float) -> None:
     """Add a second hinge to each joint with an elastic gear: the link's position less its drive's."""
-    robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
-    for effect in model.effects:
-        named = {p.name: next(numbers) for p in effect.parameters}
+    robot, seen, least = model.robot, set(), model.body.free_inertia(inertial)
+    for effect, named in by_effect(model.effects, theta.tolist()):
         if not isinstance(effect, MovesLink):
             continue
         (j,) = effect.joints

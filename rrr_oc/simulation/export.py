@@ -14,7 +14,7 @@ import numpy as np
 
 from rrr_oc.effects import BodyChange, Clutched, Effect, ExportTwin, LinkSpring, NativeTwin, OnlyRecorded, SpringChange
 from rrr_oc.errors import UserError
-from rrr_oc.model.parameters import for_each
+from rrr_oc.model.parameters import by_effect, for_each
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.mjcf import built, refusal
@@ -93,14 +93,13 @@ def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Mod
     left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]
     recorded = [model.label(effect) for effect in model.effects if isinstance(effect, OnlyRecorded)]
     left_out += [f"{label}: changes what is recorded, not the motion" for label in recorded]
-    return *_springs_as_they_are(*_lasting(model, np.asarray(theta, float))), left_out
-
-
-def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
-    """The model without springs that act in one phase of a task only and without what is only recorded, and its parameters."""
     lasting = [not isinstance(effect, Clutched | OnlyRecorded) for effect in model.effects]
-    kept = for_each(lasting, model.effects)
-    return replace(model, effects=tuple(itertools.compress(model.effects, lasting))), theta[kept]
+    return *_springs_as_they_are(*with_effects(model, np.asarray(theta, float), lasting)), left_out
+
+
+def with_effects(model: Model, theta: np.ndarray, kept: Sequence[bool]) -> tuple[Model, np.ndarray]:
+    """The model with some of its effects, and their parameters."""
+    return replace(model, effects=tuple(itertools.compress(model.effects, kept))), theta[for_each(kept, model.effects)]
 
 
 def _springs_as_they_are(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
@@ -108,8 +107,7 @@ def _springs_as_they_are(model: Model, theta: np.ndarray) -> tuple[Model, np.nda
 
     Changes of springs that the model does not have, or that are no tendons, remain.
     """
-    numbers = iter(theta.tolist())
-    pairs = [(e, {p.name: next(numbers) for p in e.parameters}) for e in model.effects]
+    pairs = by_effect(model.effects, theta.tolist())
     springs = {e.joints: (e, named) for e, named in reversed(pairs) if isinstance(e, LinkSpring) and isinstance(e, NativeTwin)}
     found = []
     for effect, named in pairs:

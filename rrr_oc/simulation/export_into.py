@@ -6,7 +6,6 @@
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -17,13 +16,12 @@ import numpy as np
 
 from rrr_oc.effects import Body, Delay, ExportTwin, MotionShift, MovesLink
 from rrr_oc.errors import UserError
-from rrr_oc.model.parameters import for_each
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre, is_possible, of_pseudo_inertia, pseudo_inertia
 from rrr_oc.robot.mjcf import built, compiled
 from rrr_oc.robot.robot import Robot, load_robot
 from rrr_oc.simulation.engine_model import INERTIA_FLOOR, Settings, assembled, controller
-from rrr_oc.simulation.export import Exported, as_in_a_file, without_form
+from rrr_oc.simulation.export import Exported, as_in_a_file, with_effects, without_form
 from rrr_oc.simulation.generated_c import PAYLOAD
 
 SAME = 1e-9  # relative: what is read again agrees so far with what was written; doubled or halved, nothing changes
@@ -138,11 +136,9 @@ def _same_arm(path: Path, robot: Robot) -> Robot:
 def _that_fit(model: Model, theta: np.ndarray, left_out: list[str]) -> tuple[Model, np.ndarray, list[str]]:
     """The model without what would change more than numbers and springs, its parameters, and what is left out."""
     why = [next((said for kind, said in ELSEWHERE.items() if isinstance(e, kind)), None) for e in model.effects]
-    kept = for_each([said is None for said in why], model.effects)
     named = zip(model.effects, why, strict=True)
     told = [f"{model.label(e)}: {said}" for e, said in named if said is not None and e.role != "plain"]
-    effects = tuple(e for e, said in zip(model.effects, why, strict=True) if said is None)
-    return replace(model, effects=effects), theta[kept], [*left_out, *told]
+    return *with_effects(model, theta, [said is None for said in why]), [*left_out, *told]
 
 
 def _parsed(text: str) -> tuple[Element, str]:

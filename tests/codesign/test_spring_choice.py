@@ -81,7 +81,7 @@ def test_a_spring_that_does_nothing_is_taken_away_without_a_joint_problem(design
     """Beside one spring that helps; without that one, a joint problem is solved."""
     search, point = _Search(design, OPTIONS), next(p for p in front[0].points if len(p.springs) == 1)
     (helps,) = point.springs
-    idle = next(i for i in range(len(design.springs)) if i not in search.place(helps))
+    idle = next(i for i in range(len(design.springs)) if i not in search.places[design.springs[helps].place])
     both = replace(point, springs=tuple(sorted((helps, idle))), parameters=search.cleared(point.parameters, [helps]))
     left = search.without_one(both)
     assert (left.springs, search.solved) == ((helps,), 0)

@@ -83,7 +83,7 @@ def test_ros_reads_the_yaml_as_its_message(saved):
 def of_six(rate: float) -> Trajectory:
     t = np.append(np.arange(20) / rate, 19.5 / rate)
     rows = np.sin(np.arange(6)[:, None] + t)
-    return Trajectory(tuple(f"j{k}" for k in range(6)), t, rows, rows, rows, rows, 0 * t)
+    return Trajectory(t, rows, rows, rows, 0 * t, joints=tuple(f"j{k}" for k in range(6)), torque=rows)
 
 
 def test_the_script_goes_to_the_start_and_then_point_by_point():

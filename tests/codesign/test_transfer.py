@@ -12,7 +12,7 @@ from small_searches import smooth_motion
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.optimum import SampledMotion, describe_motors, known_parameters
+from rrr_oc.codesign.optimum import SampledMotion, describe_motors
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, motors_of, of_all_joints, reference_phases, repaired
@@ -231,6 +231,6 @@ def test_a_stiff_arm_with_effects_starts_from_a_motion_with_these(moved):
     task, start = moved[0].task, calibrated()
     harness = Term(CATALOGUE["cable_harness"]((1,)), (Estimate(3.0), Estimate(0.5)))
     stiff = repaired(CoDesign(task, ()), replace(start, terms=(*start.terms, harness)), ("", ""))
-    np.testing.assert_array_equal(known_parameters(stiff), [3.0, 0.5])
-    assert len(known_parameters(stiff)) == len(stiff.problem.parameters)
-    assert len(known_parameters(CoDesign(task, ()))) == 0
+    np.testing.assert_array_equal(stiff.known_parameters, [3.0, 0.5])
+    assert len(stiff.known_parameters) == len(stiff.problem.parameters)
+    assert len(CoDesign(task, ()).known_parameters) == 0

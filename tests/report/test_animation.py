@@ -27,7 +27,8 @@ def folder(tmp_path_factory) -> Path:
     save_recordings(replace(recordings), folder / "set")
     t = np.linspace(0.0, 0.4, 21)
     q = np.array([0.5 + t, 0 * t - 1.0])
-    np.savez(folder / "PEA.npz", t=t, q=q, tau_load=q, tau_spring=0 * q, payload=np.full(21, 5.0))
+    rates = {"dq": 0 * q, "ddq": 0 * q, "twist": np.zeros((3, *q.shape)), "phase": (np.arange(21) > 10).astype(int)}
+    np.savez(folder / "PEA.npz", t=t, q=q, tau_load=q, tau_spring=0 * q, payload=np.full(21, 5.0), **rates)
     return folder
 
 
@@ -116,7 +117,7 @@ def test_the_arm_is_drawn_where_kinematics_has_it():
 MISTAKES = {
     "no task": (["PEA.npz", "--out", "a.gif"], "--task is missing"),
     "other arm": (["PEA.npz", "--task", "{task}", "--out", "a.gif"], "no task at"),
-    "no npz": (["set/0.csv", "--task", "paper", "--out", "a.gif"], "is no npz of a design"),
+    "no npz": (["set/0.csv", "--task", "paper", "--out", "a.gif"], "no readable npz file"),
     "no recording": (["set", "--recording", "2.csv", "--out", "a.gif"], "there are 0.csv, 1.csv"),
     "no picture": (["set", "--out", "a.avi"], "allowed are names that end in .gif or .mp4"),
 }

@@ -22,9 +22,9 @@ from msgspec import Struct
 from scipy.optimize import nnls
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.springs import SpringBounds, acting
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects import Clutched, Signals
+from rrr_oc.effects import Signals
 from rrr_oc.numerics.enclosure import NotEnclosed, enclosed, enclosures
 from rrr_oc.optimal_control.solver import Solution
 
@@ -123,10 +123,10 @@ class SpringPlace:
         effect = self.spring.effect
         theta = {effect.parameters[i].name: values for i, values in zip(self.others, others, strict=True)}
         torque = effect.torque(Signals(self.needed.q if q is None else q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
-        if q is not None or not isinstance(effect, Clutched):
+        if q is not None or len(phases := acting(effect)) == len(PHASES):
             return torque
-        acting = (self.needed.phase == effect.phase).astype(float)
-        return tuple(part * acting for part in torque)
+        acts = np.isin(self.needed.phase, [PHASES[i] for i in phases]).astype(float)
+        return tuple(part * acts for part in torque)
 
     def shapes(self, others: np.ndarray) -> np.ndarray:
         """The same from numbers (d, P), one joint after the other: (P, number of joints × K)."""

@@ -62,8 +62,7 @@ def _needed_near(design: CoDesign, posture: np.ndarray, payload: float, t: np.nd
     """Least and greatest torque without springs [Nm], (m, T), over all motions at a time t (T,) away from rest in a posture."""
     task, a = design.task, design.task.acceleration[:, None]
     bare = CoDesign(task, tuple(spring for spring in design.springs if spring.known))
-    theta = np.concatenate([np.zeros(0), *[spring.lower for spring in bare.springs]])
-    constants, m = (theta.tolist(), [0.0] * bare.model.widths.size), len(task.moving)
+    constants, m = (bare.known_parameters.tolist(), [0.0] * bare.model.widths.size), len(task.moving)
     way, speed = a * t**2 / 2, np.minimum(a * t, task.speed[:, None])
     angles = [np.clip(posture[:, None] + side * way, task.lower[:, None], task.upper[:, None]) for side in (-1, 1)]
     lower, upper = _pieces(np.vstack([angles[0], -speed]), np.vstack([angles[1], speed]))

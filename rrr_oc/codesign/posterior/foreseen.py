@@ -101,7 +101,7 @@ def _costs(
 ) -> tuple[float, float]:
     """E1 [N²m²s] and the cost of a motion with springs on the arm that a model has."""
     there = repaired(design, model, ("", ""))
-    known = np.concatenate([theta, *(s.lower for s in there.springs if s.known)])
+    known = np.append(theta, there.known_parameters)
     arm = shared_model(there.task.robot, there.task.tool, tuple(s.effect for s in there.springs))
     rows, torques, cost = list(there.task.moving), [], 0.0
     for i, (phase, payload) in enumerate(zip(phases, there.task.payloads, strict=True)):

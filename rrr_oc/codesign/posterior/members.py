@@ -30,12 +30,16 @@ class Member:
     decided_by: str | None = None
 
 
-def members(model: CalibratedModel, seed: int = 0) -> tuple[Member, ...]:
+def itself_and_others(model: CalibratedModel) -> tuple[Alternative, ...]:
+    """A calibrated model, and the others that its recordings do not tell from it."""
+    return (Alternative(replace(model, alternatives=()), AS_CALIBRATED), *model.alternatives)
+
+
+def members(model: CalibratedModel) -> tuple[Member, ...]:
     """The members of a calibrated model, itself first."""
-    every = (Alternative(replace(model, alternatives=()), AS_CALIBRATED), *model.alternatives)
     return tuple(
-        Member(one.says, one.model, drawn(one.model, OF_OTHERS if i else DRAWS, [seed, i]), one.decided_by)
-        for i, one in enumerate(every)
+        Member(one.says, one.model, drawn(one.model, OF_OTHERS if i else DRAWS, [0, i]), one.decided_by)
+        for i, one in enumerate(itself_and_others(model))
     )
 
 

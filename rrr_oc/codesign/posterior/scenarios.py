@@ -63,15 +63,10 @@ def _holding(design: CoDesign, model: CalibratedModel) -> np.ndarray:
     """Torques by which the moving joints are held at both ends of the task, with the payload and without, without the design's springs
     (4 m,) [Nm]."""
     there = repaired(replace(design, springs=()), model, ("", ""))
-    theta = np.concatenate([np.zeros(0), *(s.lower for s in there.springs)])
     rest, ends = np.zeros(len(there.task.moving)), (there.task.start, there.task.release)
-    return np.concatenate(
-        [
-            np.array(there.torques(end, rest, rest, payload, theta, there.model.widths)[0]).ravel()
-            for end in ends
-            for payload in there.task.payloads
-        ]
-    )
+    known, widths = there.known_parameters, there.model.widths
+    held = [there.torques(end, rest, rest, payload, known, widths)[0] for end in ends for payload in there.task.payloads]
+    return np.concatenate([np.array(torque).ravel() for torque in held])
 
 
 def _all_known(arms: Sequence[CoDesign]) -> tuple[SpringBounds, ...]:

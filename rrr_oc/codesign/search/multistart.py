@@ -122,7 +122,7 @@ def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> t
         interrupted, search = True, None
         optima = _followed(design, options, guesses[:1], reached[:1])
     if not optima:
-        raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
+        raise SolverFailure("lost on the fine mesh")
     try:
         if search is not None:
             optima = _with_best_motions(search, optima, progress)

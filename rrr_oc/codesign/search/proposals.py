@@ -69,6 +69,10 @@ class SearchOptions:
         if self.layers not in (LAYERS, *((layer,) for layer in LAYERS)):
             raise UserError(f"a search's layers are {LAYERS}, or one of them, got {self.layers}")
 
+    def on(self, intervals: int) -> "SearchOptions":
+        """The same with so many intervals a phase on the first fine mesh, and in proportion on the coarse one."""
+        return replace(self, fine=intervals, coarse=intervals * self.coarse // self.fine)
+
     @property
     def narrow(self) -> "SearchOptions":
         """The same for starts that are optima of springs with the smallest smoothing width: wider ones would lose their swings."""

@@ -137,7 +137,7 @@ def solve_chosen(design: SetDesign, start: Guess, options: SearchOptions) -> Set
         return SetResult.apart(design, _refined_each(design.designs, motions, options))
     joint = _rejoined(design, motions, start.parameters, options)
     if joint is None:
-        raise SolverFailure("the chosen springs led to no optimum of the set", 0, 0.0, "")
+        raise SolverFailure("the chosen springs led to no optimum of the set")
     near = followed([(one, options, m) for one, m in zip(design.designs, _motions(design, joint), strict=True)])
     alone = [a or m for a, m in zip(near, motions, strict=True)]
     return solve_set(design, _refined_each(design.designs, alone, options), options, joint=joint)
@@ -171,7 +171,7 @@ def held_motions(
     found = ordered(_held, calls)
     for one, task in zip(found, design.tasks.tasks, strict=True):
         if one is None:
-            raise SolverFailure(f"no motion of task {task.name!r} with these springs", 0, 0.0, "")
+            raise SolverFailure(f"no motion of task {task.name!r} with these springs")
     return found
 
 
@@ -213,11 +213,11 @@ def _joint(
     starts.sort(key=lambda s: (s.polished, s.layer))
     progress.tell("fine mesh")
     if not (coarse := polisher.optima(starts)):
-        raise SolverFailure("no start led to an optimum of the set", 0, 0.0, "")
+        raise SolverFailure("no start led to an optimum of the set")
     kept = coarse[: max(options.kept // 3, 1)]
     found = [o for o in followed([(design, options, o.solution.guess()) for o in kept]) if o is not None]
     if not found:
-        raise SolverFailure("every optimum of the set was lost on the fine mesh", 0, 0.0, "")
+        raise SolverFailure("every optimum of the set was lost on the fine mesh")
     return min(found, key=lambda o: o.cost), starts
 
 

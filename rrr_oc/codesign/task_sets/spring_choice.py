@@ -134,12 +134,7 @@ class _Search:
         self.places: dict[tuple, list[int]] = {}
         for i, spring in enumerate(design.springs):
             if not spring.known:
-                self.places.setdefault((spring.effect.name, spring.effect.joints), []).append(i)
-
-    def place(self, spring: int) -> list[int]:
-        """The springs that may be mounted where this one is."""
-        effect = self.design.springs[spring].effect
-        return self.places[effect.name, effect.joints]
+                self.places.setdefault(spring.place, []).append(i)
 
     def of_stiff(self, stiff: Sequence[Optimum]) -> ChoicePoint:
         """The point without springs, its motions solved on the search's mesh."""
@@ -306,8 +301,8 @@ class _Search:
 
     def with_one(self, point: ChoicePoint) -> ChoicePoint | None:
         """The best of the points with one spring more; None where every place has one."""
-        taken = {k for j in point.springs for k in self.place(j)}
-        free = [place for place in self.places.values() if place[0] not in taken]
+        taken = {self.design.springs[i].place for i in point.springs}
+        free = [springs for place, springs in self.places.items() if place not in taken]
         held = self.held(point.parameters, point.motions)
         ranked = sorted((self.mounted(point.parameters, held, place) for place in free), key=lambda r: r[0])
         return self.solved_jointly([self.started([*point.springs, i], p, point.motions) for _, i, p in ranked[:1]])

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError, ends_at_once
@@ -39,9 +38,8 @@ def _fleet(paths: Sequence[Path], out: Path | None, output: Output) -> None:
         from rrr_oc.comparison.words import fleet_table, fleet_verdict, outlier_table
     found = compared_fleet(paths)
     output.result(fleet_data(found))
-    for header, rows in (fleet_table(found), outlier_table(found)):
-        if rows:
-            output.show(_table(header, rows))
+    for table in (fleet_table(found), outlier_table(found)):
+        output.table(*table)
     output.show(fleet_verdict(found))
     if out is not None:
         check_folder(out)
@@ -56,17 +54,8 @@ def _two(a: Path, b: Path, every: bool, output: Output) -> None:
     found = compared(a, b)
     output.result(as_data(a, b, found))
     if isinstance(found, Compared):
-        header, rows = CHANGES, [change_row(one) for one in found.changes if every or one.changed]
+        output.table(CHANGES, [change_row(one) for one in found.changes if every or one.changed])
     else:
-        header, rows = design_table(*found)
-    if rows:
-        output.show(_table(header, rows))
+        output.table(*design_table(*found))
     for line in sentences(found) if isinstance(found, Compared) else [f"{design_verdict(*found)}."]:
         output.show(line)
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    table = Table(*header)
-    for row in rows:
-        table.add_row(*row)
-    return table

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel
-from rrr_oc.codesign.posterior.members import AS_CALIBRATED, moved
+from rrr_oc.codesign.posterior.members import itself_and_others, moved
 from rrr_oc.effects import BodyChange, OnlyRecorded
 from rrr_oc.errors import UserError
 from rrr_oc.robot.possible_bodies import SameTorques
@@ -43,8 +43,7 @@ def samples(model: CalibratedModel, count: int, seed: int) -> Iterator[Sample]:
         raise UserError(
             "the model does not say how well its parameters are known, so that none can be drawn; calibrate or diagnose again"
         )
-    itself = Alternative(replace(model, alternatives=()), AS_CALIBRATED)
-    every = [itself, *(other for other in model.alternatives if other.model.spread is not None)]
+    every = [one for one in itself_and_others(model) if one.model.spread is not None]
     bodies = [_same_torques(one.model) for one in every]
     for k in range(count):
         i = k % len(every)

@@ -10,17 +10,18 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.calibration.prediction_error import simulated
-from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.codesign.optimum import SampledMotion
+from rrr_oc.codesign.springs import acting, saved_springs
+from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.codesign.trajectory import saved_motion
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import loaded
-from rrr_oc.effects import Clutched, Signals
+from rrr_oc.effects import Signals
 from rrr_oc.errors import UserError, meant
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.moving.scene import Scene, ShownSpring
 from rrr_oc.report.moving.viewer import Shown
-from rrr_oc.storage import read_npz
 
 SUMMARY = "summary.json"  # of a study, beside the npz of its designs
 WAY = 2.0  # [s] from the start of a task to its release, where only the task is shown
@@ -31,34 +32,26 @@ def designed(source: Path, name: str | None) -> Scene:
     if name is None:
         raise UserError("--task is missing: the task file of the design, or a bundled task, is required")
     task = load_task(name)
-    try:
-        file = read_npz(source)
-        t, q, load, own, payload = (file[key] for key in ("t", "q", "tau_load", "tau_spring", "payload"))
-    except (UserError, KeyError):
-        raise UserError(f"{source}: is no npz of a design; one that `rrr-oc design` wrote is required") from None
-    if len(q) != len(task.joints):
-        raise UserError(
-            f"{source}: has {len(q)} moving joints and task {task.name!r} {len(task.joints)}; the design's task is required"
-        )
-    torques = {"load torque": load}
-    if np.any(own):
-        torques = {"load torque with springs": load, "without springs": load + own, "springs": own}
-    positions = task.full(q)
-    springs = _of_design(source, task, positions, own)
-    return Scene(
-        task.robot, task.tool, t, positions, torques, task.joints, payload, f"{source.stem} of task {task.name}", springs
-    )
+    m = saved_motion(source, task)
+    torques = {"load torque": m.tau_load}
+    if np.any(m.tau_spring):
+        torques = {
+            "load torque with springs": m.tau_load,
+            "without springs": m.tau_load + m.tau_spring,
+            "springs": m.tau_spring,
+        }
+    title = f"{source.stem} of task {task.name}"
+    springs = _of_design(source, task, m)
+    return Scene(task.robot, task.tool, m.t, task.full(m.q), torques, task.joints, m.payload, title, springs)
 
 
-def _of_design(source: Path, task: Task, q: np.ndarray, own: np.ndarray) -> tuple[ShownSpring, ...]:
+def _of_design(source: Path, task: Task, m: SampledMotion) -> tuple[ShownSpring, ...]:
     """The springs that the study's summary beside the npz has; without it, one at each joint that springs act on."""
     if (source.parent / SUMMARY).is_file():
         springs = saved_springs(source.parent / SUMMARY, source.stem, task).mounted
-        phase = read_npz(source).get("phase", np.zeros(0))
-        acting = [phase == PHASES.index(effect.phase) if isinstance(effect, Clutched) else 1.0 for effect, _ in springs]
-        shown = zip(shown_springs(springs, q), acting, strict=True)
-        return tuple(replace(spring, tension=spring.tension * share) for spring, share in shown)
-    return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, own, strict=True) if np.any(row))
+        shown = zip(shown_springs(springs, task.full(m.q)), springs, strict=True)
+        return tuple(replace(s, tension=s.tension * np.isin(m.phase, acting(effect))) for s, (effect, _) in shown)
+    return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, m.tau_spring, strict=True) if np.any(row))
 
 
 def shown_springs(springs: Sequence[Spring], q: np.ndarray) -> tuple[ShownSpring, ...]:

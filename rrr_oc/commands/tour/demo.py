@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from rrr_oc.commands.output import Output, Quiet, progress_alone
 from rrr_oc.commands.shared import Jobs
@@ -111,10 +110,8 @@ def _show_truth(diagnosis: Mapping[str, Any], out: Path, output: Output) -> None
     text = (BUNDLED / TRUTH).read_text(encoding="utf-8")
     write_text(out / TRUTH, text)
     output.show(f"\n4  What was hidden in the arm? No step before this one has read it; now it is {out / TRUTH}.")
-    table = Table("hidden", "quantity", "true", "found", "95 % interval", "holds the truth")
-    for row in beside(json.loads(text), diagnosis):
-        table.add_row(*row)
-    output.show(table)
+    header = ["hidden", "quantity", "true", "found", "95 % interval", "holds the truth"]
+    output.table(header, beside(json.loads(text), diagnosis))
 
 
 def _show_design(out: Path, output: Output) -> None:
