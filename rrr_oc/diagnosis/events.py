@@ -33,6 +33,7 @@ AGREE = 0.7  # share of the difference to errors in like states that these may b
 FAR_FROM_LIKE = 5.0  # deviations of the difference to errors in like states; doubled, weak pushes stay in the fit
 FUNCTIONS = 4  # of a joint that are tried, those of the largest gain
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
+WHOLLY = 0.3  # of the error at an event, that a law may leave which was fitted to it, too; doubled, some laws explain pushes
 STATE = ("q", "dq", "ddq", "load_torque")
 LEAST = 60  # rows from which deviations are known
 
@@ -86,13 +87,15 @@ def unlike_laws(search: StructureSearch, begin: Fitted, some: Sequence[Event]) -
     return result
 
 
-def unexplained_events(data: Data, plain: CalibratedModel, model: CalibratedModel, some: Sequence[Event]) -> list[Event]:
-    """Those events that a model leaves which was found without them; `data` are all, and the plain model is one of them."""
+def unexplained_events(
+    data: Data, plain: CalibratedModel, model: CalibratedModel, some: Sequence[Event], most: float = EXPLAINED
+) -> list[Event]:
+    """Those events of whose error a model leaves more than a share `most`; `data` are all, and the plain model was fitted without them."""
     before, after = data.residual(plain), data.residual(model)
 
     def left(e: Event) -> bool:
         j, rows = plain.joints.index(e.joint), rows_of(data, e)
-        return bool(np.linalg.norm(after[j, rows]) > EXPLAINED * np.linalg.norm(before[j, rows]))
+        return bool(np.linalg.norm(after[j, rows]) > most * np.linalg.norm(before[j, rows]))
 
     return [e for e in some if left(e)]
 

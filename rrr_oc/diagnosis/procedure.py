@@ -22,7 +22,7 @@ from rrr_oc.diagnosis.claims.classes import separated, with_links
 from rrr_oc.diagnosis.claims.dependence import by_degree
 from rrr_oc.diagnosis.claims.effect_size import LeftOut, confirmed, predictive
 from rrr_oc.diagnosis.claims.reliability import judged
-from rrr_oc.diagnosis.events import events, unexplained_events, unlike_laws, without
+from rrr_oc.diagnosis.events import WHOLLY, events, unexplained_events, unlike_laws, without
 from rrr_oc.diagnosis.findings import found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import errors_of, joints_made_worse, nrmse, repeated
@@ -250,10 +250,17 @@ def _late(fitter: Fitter, fitted: Fitted) -> tuple[Finding, ...]:
 
 
 def _begun(fitter: Fitter, every: tuple[Trial, ...], start: CalibratedModel) -> tuple[Fitter, Fitted, list[Event]]:
-    """What fits models to all but events, the plain fit, and the events."""
-    begin, some = fitter.begin(start), list[Event]()
+    """What fits models to all but events, the plain fit, and the events; what a search with all rows explains is none."""
+    begin, some, whole = fitter.begin(start), list[Event](), fitter
     while new := [e for e in unlike_laws(StructureSearch.of(fitter, every), begin, events(begin)) if e not in some]:
         some += new  # beside large ones others do not show
         fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, new)))
         begin = fitter.begin(start)
+    if some:
+        law = StructureSearch.of(whole, every).run(whole.begin(start)).fitted
+        joints = {e.joint for e in unexplained_events(whole.data, begin.model, law.model, some, WHOLLY)}
+        still = [e for e in some if e.joint in joints]  # a law that explains some pushes of a joint may be fitted to these
+        if len(still) < len(some):
+            some, fitter = still, replace(whole, data=whole.data.of(without(whole.data.prepared, start.joints, still)))
+            begin = fitter.begin(start)
     return fitter, begin, sorted(some, key=lambda e: (e.joint, e.recording, e.begin))

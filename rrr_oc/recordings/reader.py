@@ -255,9 +255,8 @@ def _drop_faults(used: Sequence[str], values: np.ndarray, names: Sequence[str], 
             continue
         position = name.startswith("q_")
         wrong = faults.spikes(x, 2 * np.pi if position else np.inf)
-        wrong &= position | (
-            np.abs(x) > faults.ALIKE * np.quantile(np.abs(x), faults.USUAL)
-        )  # friction turns over within a sample
+        if not position:  # friction turns over within a sample; smaller spikes are the calibration's to smooth
+            wrong &= np.abs(x) > faults.FAR * np.quantile(np.abs(x), faults.USUAL)
         stays = faults.stays(t, np.where(wrong, np.nan, x)) if position else np.zeros_like(wrong)
         for rows, said in ((wrong, "jumps away and back"), (stays, "stands still until it jumps, as no motion does,")):
             if rows.any():
