@@ -7,7 +7,7 @@ import pytest
 from recorded import as_set, multisine, record
 
 from rrr_oc.diagnosis.events import events
-from rrr_oc.diagnosis.procedure import ready
+from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.effects.priors import Priors
 
 COUNT, SECONDS = 4, 15.0
@@ -58,3 +58,19 @@ def test_friction_that_sticks_where_a_joint_turns_is_no_event_and_more_than_that
     at = float(made[1].t[turns[1][0]])
     pushed = [replace(r, tau=r.tau + 4.0 * (i == 1) * (np.abs(r.t - at) < 0.1)) for i, r in enumerate(stuck)]
     assert [e.recording for e in told(as_set(plant, pushed)) if e.begin < at < e.end] == ["1.csv"]
+
+
+def test_a_spring_that_is_seldom_taut_is_no_push(planar):
+    """A cable across both joints that pulls for a tenth of the time [Nm/rad], in strokes that look like pushes to a plain model."""
+    plant, rng = planar(2), np.random.default_rng(5)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.005) for i in range(COUNT)]
+    stretch = [-r.q[0] - 0.5 * r.q[1] for r in made]
+    slack = float(np.quantile(np.concatenate(stretch), 0.9))
+    pulls = [6.0 * np.maximum(s - slack, 0.0) for s in stretch]
+    recordings = as_set(plant, [replace(r, tau=r.tau - np.array([p, 0.5 * p])) for r, p in zip(made, pulls, strict=True)])
+    assert told(recordings)
+    diagnosis = diagnose(recordings)
+    assert not diagnosis.events
+    (spring,) = diagnosis.findings
+    assert (spring.term.effect.name, spring.term.recordings) == ("biarticular_spring", "all")
+    assert spring.term.values == pytest.approx([6.0, 0.5, slack], rel=0.01)

@@ -18,7 +18,7 @@ from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Signatures, Tables
 from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Neighbours, Predicted, Repetitions, beside, overlapping
+from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Neighbours, Predicted, Repetitions, beside, identity, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
 RENEWED = 16  # neighbours by one kind of move whose noise is estimated anew
@@ -328,18 +328,16 @@ class StructureSearch:
         return better if better.score > at.score + LEAST_GAIN else None
 
     def _in_all(self, at: FittedStructure) -> FittedStructure | None:
-        """The best fit with one of the effects of some groups in all of them, if it is more probable: a trial of another shape may have
-        ruled out groups in which the fitted law changes nothing."""
-        best, post, base = at, at.fitted.posterior, at.fitted.base
-        for i, term in enumerate(at.fitted.extra):
-            elsewhere = term.groups and term.effect.partly < 1  # others hold for single groups only
-            if not elsewhere or len(overlapping(term.effect, None, self.neighbours(at.fitted).linear.own)) > 1:
+        """The best fit with one of the effects of some groups in all of them, in the place of the same in others, if it is more probable: a
+        trial of another shape may have ruled out groups in which the fitted law changes nothing."""
+        best, model, base = at, at.fitted.model, at.fitted.base
+        for term in at.fitted.extra:
+            if not term.groups or term.effect.partly == 1:  # which holds for single groups only
                 continue
-            terms = list(at.fitted.model.terms)
-            terms[base + i] = replace(term, recordings="all", groups=())
-            wanted = best.fitted.log_evidence - CLOSE
-            near = self._on_few(replace(at.fitted.model, terms=tuple(terms)), at.fitted.links, post)
-            other = self.scored(self._on_all(near, post, wanted=wanted))
+            others = [t for t in at.fitted.extra if identity(t.effect) != identity(term.effect)]
+            terms = (*model.terms[:base], *others, replace(term, recordings="all", groups=()))
+            near = self._on_few(replace(model, terms=terms), at.fitted.links, at.fitted.posterior)
+            other = self.scored(self._on_all(near, at.fitted.posterior, wanted=best.fitted.log_evidence - CLOSE))
             best = other if other.score > best.score else best
         if best is at:
             return None
