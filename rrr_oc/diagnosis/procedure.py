@@ -133,8 +133,7 @@ def _apart_from_events(fitter: Fitter, every: tuple[Trial, ...], stages: Stages)
     _, _, complete, findings, _, _ = settled
     still = unexplained_events(whole, first.model, complete.model, disturbed) if findings else disturbed
     if len(still) < len(disturbed):
-        fitter = replace(fitter, data=whole.of(without(whole.prepared, first.model.joints, still)))
-        first = fitter.begin(stages.start)
+        fitter, first = _apart_from(replace(fitter, data=whole), stages.start, still)
         settled = _settled(fitter, every, first, stages, "search with all rows")
     return fitter, first, still, settled
 
@@ -254,13 +253,18 @@ def _begun(fitter: Fitter, every: tuple[Trial, ...], start: CalibratedModel) -> 
     begin, some, whole = fitter.begin(start), list[Event](), fitter
     while new := [e for e in unlike_laws(StructureSearch.of(fitter, every), begin, events(begin)) if e not in some]:
         some += new  # beside large ones others do not show
-        fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, new)))
-        begin = fitter.begin(start)
+        fitter, begin = _apart_from(fitter, start, new)
     if some:
         law = StructureSearch.of(whole, every).run(whole.begin(start)).fitted
         joints = {e.joint for e in unexplained_events(whole.data, begin.model, law.model, some, WHOLLY)}
         still = [e for e in some if e.joint in joints]  # a law that explains some pushes of a joint may be fitted to these
         if len(still) < len(some):
-            some, fitter = still, replace(whole, data=whole.data.of(without(whole.data.prepared, start.joints, still)))
-            begin = fitter.begin(start)
+            some = still
+            fitter, begin = _apart_from(whole, start, some)
     return fitter, begin, sorted(some, key=lambda e: (e.joint, e.recording, e.begin))
+
+
+def _apart_from(fitter: Fitter, start: CalibratedModel, some: Sequence[Event]) -> tuple[Fitter, Fitted]:
+    """What fits models to all but some events, and the plain fit."""
+    fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, some)))
+    return fitter, fitter.begin(start)

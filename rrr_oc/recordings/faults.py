@@ -1,6 +1,5 @@
 """Faults of sensors, drivers and files that leave every column possible: what is told of them, a part of a sentence each."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -141,10 +140,10 @@ def stays(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     result, known = np.zeros(len(q), bool), np.flatnonzero(np.isfinite(q))
     steps = np.abs(np.diff(q[known]))
     usual = float(np.quantile(steps, 0.99)) if len(steps) else 0.0
-    changes = np.flatnonzero(steps > 0)
-    for before, after in itertools.pairwise([-1, *changes.tolist()]):
-        stay = known[before + 2 : after + 1]  # without the row that was read
-        if len(stay) and t[stay[-1]] - t[stay[0]] > FROZEN and steps[after] > max(FAR * usual, MOVED):
+    changes = np.append(-1, np.flatnonzero(steps > 0))
+    for k in np.flatnonzero(steps[changes[1:]] > max(FAR * usual, MOVED)):
+        stay = known[changes[k] + 2 : changes[k + 1] + 1]  # without the row that was read
+        if len(stay) and t[stay[-1]] - t[stay[0]] > FROZEN:
             result[stay] = True
     return result
 

@@ -233,7 +233,7 @@ def test_rows_that_stand_there_again_are_left_out(load):
     assert len(found.recordings[0].t) == 1200
 
 
-def test_no_derivative_crosses_a_jump_or_takes_a_stop_for_repeated_positions(load):
+def test_zeros_before_a_logger_starts_are_left_out_and_a_motion_that_stops_is_not(load):
     """A logger that has zeros at first, and a motion that stops for 4 s."""
     right = without(("dq", "ddq"), columns())
     t = right["t"]

@@ -331,6 +331,11 @@ class Noise:
         last = spreads[-1] or 1.0
         return cls(tuple(filters), np.maximum(np.array(spreads) / last, 1e-6), factor)
 
+    @property
+    def slow_gain(self) -> float:
+        """How many times its prediction error the noise is in slow motion, at frequency 0."""
+        return 1 / (1 - float(self.filters[-1].sum()))
+
     def whitening(self, place: np.ndarray, turning: np.ndarray) -> tuple[csr_matrix, float]:
         """The matrix (M, M) that turns the noise white, rows that do not count being 0, and the logarithm of its determinant."""
         order, size = len(self.filters) - 1, len(place)
@@ -357,7 +362,7 @@ def low_frequency(residual: np.ndarray, place: np.ndarray, turning: np.ndarray, 
     noise = Noise.of(residual, place, turning, taken, PAST)
     columns = residual[:, None] if taken is None else np.column_stack([residual, taken])
     square = np.sum((noise.whitening(place, turning)[0] @ columns) ** 2) / max(np.count_nonzero(place >= 0), 1)
-    return max(float(np.sqrt(square)) / (1 - float(noise.filters[-1].sum())), 1e-9)
+    return max(float(np.sqrt(square)) * noise.slow_gain, 1e-9)
 
 
 def share_of_low_frequency(
@@ -371,7 +376,7 @@ def share_of_low_frequency(
     white = noise.whitening(place, turning)[0][counted][:, counted]
     along = spsolve_triangular(white.T.tocsr(), columns[counted], lower=False)
     squares = np.sum(along**2, axis=0) / np.maximum(np.sum(columns[counted] ** 2, axis=0), 1e-300)
-    return squares * (1 - float(noise.filters[-1].sum())) ** 2
+    return squares / noise.slow_gain**2
 
 
 def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndarray:

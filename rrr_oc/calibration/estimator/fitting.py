@@ -262,10 +262,10 @@ class PlainFitter:
         of_noise, of_loops = bent(found.posterior, fitted.posterior.hyper.discrepancy), by_inner_loop(found)
         of_noise = np.hstack([of_noise, of_loops]) if of_loops.size else of_noise
         residual, columns = self.linearised(found.model, found.links)  # which others compare with those of fits
-        each, plain = np.ones(len(found.posterior.step)), self.data.start.offsets[-1]
-        numbers = [len(t.values) for t in found.extra]
-        each[plain : plain + sum(numbers)] = np.repeat(shares, numbers) ** -0.5
-        matrix = each[:, None] * found.posterior.matrix * each
+        times = np.ones(len(found.posterior.step))  # by which standard errors are less than in noise of slow motion
+        first, last = (found.model.offsets[i] for i in (found.base, -1))
+        times[first:last] = np.repeat(shares, [len(t.values) for t in found.extra]) ** -0.5
+        matrix = times[:, None] * found.posterior.matrix * times
         whole = replace(found.posterior, data=self.data, residual=residual, columns=columns, matrix=matrix)
         std, number = std_by_blocks(found.posterior)
         std[delays_of(near)] = np.sqrt(variances_of_delays(near))  # rows without the time of reversals tell less of delays
@@ -380,13 +380,9 @@ def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
 
     What the parameters have taken up of the noise is added to what is left, as the posterior has it.
     """
-    white, post = Noise((np.zeros(0),), np.ones(1), 1.0), fitted.posterior
-    root = root_of_covariance(post.matrix)
-    sigma = [
-        low_frequency(left, place, turning, (columns @ root) * (place >= 0)[:, None])
-        for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
-    ]
-    return Hyperparameters((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.hyper.links)
+    white = Noise((np.zeros(0),), np.ones(1), 1.0)
+    sigma = [low_frequency(*noise) for noise in _noises(data, fitted)]
+    return Hyperparameters((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), fitted.posterior.hyper.links)
 
 
 def noise_along_effects(data: Data, fitted: Fitted) -> np.ndarray:
@@ -394,18 +390,23 @@ def noise_along_effects(data: Data, fitted: Fitted) -> np.ndarray:
 
     Of an effect with several parameters that of the one along which it is largest.
     """
-    post, plain = fitted.posterior, fitted.model.offsets[fitted.base]
-    size, root = len(fitted.model.values), root_of_covariance(post.matrix)
-    noise, squares = np.zeros(size - plain), np.zeros(size - plain)
-    for j, sigma in enumerate(post.hyper.sigma):
-        own, place = post.columns[j][:, plain:size], data.place[j]
-        if own[place >= 0].any():
-            taken = (post.columns[j] @ root) * (place >= 0)[:, None]
-            weights = np.sum(own[place >= 0] ** 2, axis=0) / sigma**2
-            noise += weights * share_of_low_frequency(own, fitted.residual[j], place, data.turning[j], taken)
+    edges, post = np.array(fitted.model.offsets[fitted.base :]), fitted.posterior
+    noise, squares = np.zeros((2, edges[-1] - edges[0]))
+    for columns, sigma, own in zip(post.columns, post.hyper.sigma, _noises(data, fitted), strict=True):
+        x = columns[:, edges[0] : edges[-1]]
+        weights = np.sum(x**2, axis=0) / sigma**2
+        if weights.any():
+            noise += weights * share_of_low_frequency(x, *own)
             squares += weights
     each = np.where(squares > 0, noise / np.maximum(squares, 1e-300), 1.0)
-    return np.array([min(each[a - plain : b - plain].max(), 1.0) for a, b in pairwise(fitted.model.offsets[fitted.base :])])
+    return np.array([min(each[a:b].max(), 1.0) for a, b in pairwise(edges - edges[0])])
+
+
+def _noises(data: Data, fitted: Fitted) -> Iterator[tuple[np.ndarray, ...]]:
+    """What `low_frequency` needs of each joint: the residual of a fit, and what its parameters have taken up of the noise."""
+    root = root_of_covariance(fitted.posterior.matrix)
+    for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, fitted.posterior.columns, strict=True):
+        yield left, place, turning, (columns @ root) * (place >= 0)[:, None]
 
 
 def bent(post: Posterior, size: np.ndarray) -> np.ndarray:

@@ -328,11 +328,13 @@ class StructureSearch:
         return better if better.score > at.score + LEAST_GAIN else None
 
     def _in_all(self, at: FittedStructure) -> FittedStructure | None:
-        """The best fit with one of the effects of some groups in all of them, in the place of the same in others, if it is more probable: a
-        trial of another shape may have ruled out groups in which the fitted law changes nothing."""
+        """The best fit with an effect of some groups in all of them, if it is more probable; it replaces what the other groups have.
+
+        The trial that led to it may have ruled out groups in which the law changes nothing once it is fitted.
+        """
         best, model, base = at, at.fitted.model, at.fitted.base
         for term in at.fitted.extra:
-            if not term.groups or term.effect.partly == 1:  # which holds for single groups only
+            if not term.groups or term.effect.partly == 1:  # such an effect never holds for all
                 continue
             others = [t for t in at.fitted.extra if identity(t.effect) != identity(term.effect)]
             terms = (*model.terms[:base], *others, replace(term, recordings="all", groups=()))
