@@ -1,7 +1,7 @@
 """The stages of a diagnosis: how far it is, and what each has found, from which an interrupted diagnosis goes on.
 
 A stage is kept as Python pickles it, with a hash, and only the program that wrote it reads it again (`rrr_oc.kept`). Of the names in it
-classes of this package and NumPy's arrays are known, so that a folder from others runs nothing.
+classes of this package, NumPy's arrays and slices are known, so that a folder from others runs nothing.
 """
 
 import base64
@@ -85,6 +85,8 @@ class _Reader(pickle.Unpickler):
     def find_class(self, module_name: str, global_name: str) -> Any:
         found = super().find_class(module_name, global_name) if module_name.split(".")[0] in ("rrr_oc", "numpy") else None
         of_numpy = module_name.startswith("numpy") and global_name in OF_NUMPY
+        if (module_name, global_name) == ("builtins", "slice"):  # of a suggested motion's segments
+            return slice
         if of_numpy or (module_name.startswith("rrr_oc.") and isinstance(found, type)):
             return found
         raise UserError(f"a kept stage names {module_name}.{global_name}, which no diagnosis has")

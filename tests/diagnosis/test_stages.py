@@ -23,7 +23,7 @@ from rrr_oc.diagnosis.claims import classes
 from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import diagnose
-from rrr_oc.diagnosis.result import Diagnosis, Like, Possible
+from rrr_oc.diagnosis.result import Diagnosis, Like, Possible, Suggestion
 from rrr_oc.diagnosis.stages import SHARES, Stages
 from rrr_oc.diagnosis.structures.search import StructureSearch
 from rrr_oc.errors import UserError
@@ -224,6 +224,7 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
         anatomy=({"noise": gone},),
         links=(OffLink(found.model.robot.links[0], (), gone, mass=Off(gone, 1.0, gone)),),
         idle=((0, gone, gone),),
+        suggestions=(Suggestion("it would tell more", (), recordings.recordings[0]),),
         above_noise=(np.inf,),
         calibration=(np.array([gone]), np.array([gone])),
     )
