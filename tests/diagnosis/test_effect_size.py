@@ -131,6 +131,8 @@ def test_what_is_fast_shows_in_innovations_under_a_slow_disturbance(tmp_path):
         ((0.1, 0.05, 0.15), (0.2, 0.15, 0.25), True, True),
         ((0.001, -0.01, 0.012), (0.001, -0.01, 0.012), False, False),
         ((0.1, 0.05, 0.15), (-0.1, -0.15, -0.05), False, False),  # innovations that rise count always
+        ((0.1, 0.08, 0.12), (-0.03, -0.04, -0.02), False, False),
+        ((0.3, 0.25, 0.35), (-0.03, -0.04, -0.02), True, True),  # but for little beside what falls
     ],
 )
 def test_what_scales_the_load_has_to_lower_the_error_itself(error, innovations, otherwise, scaling):
@@ -164,5 +166,5 @@ def test_sizes_are_those_of_fits_without_each(arm):
     fitted, kept, out = confirmed(search, begin, near.linear.fitted, predictive(LeftOut(near), findings)[0] + findings[:1])
     assert [f.term.effect.name for f in kept] == [t.effect.name for t in fitted.extra] == ["quadratic_drag"]
     assert [f.term.effect.name for f in out] == ["torque_offset"]
-    plain, whole = (LeftOut(search.neighbours(one)).whole[1] for one in (begin, fitted))
+    plain, whole = (LeftOut(search.neighbours(one)).whole[0, 1] for one in (begin, fitted))
     assert kept[0].fall.share == pytest.approx(1 - np.sqrt(np.sum(whole**2) / np.sum(plain**2)), rel=1e-2)

@@ -53,7 +53,7 @@ def separated(
             with noted(failed, f"comparison: {a.effect.name} in the place of {f.term.effect.name}"):
                 if as_good(left_out.squares((*less, a)), with_all, NEAR * MATTERS):
                     exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
-                    if as_good(left_out.of_both(exact.residual), left_out.of_both(fitted.residual)):
+                    if as_good(left_out.of_fit(exact), left_out.of_fit(fitted)):
                         found += described(exact).terms[-1:]
                         fits.append(exact)
         rivals = tuple(dict.fromkeys([*f.rivals, *map(shown_as, found)]))

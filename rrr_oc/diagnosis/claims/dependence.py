@@ -199,7 +199,7 @@ def _most_like(
     before, least = (place.left_out.squares(structure) for structure in (place.less, (*place.less, best.addition)))
     for s in sorted(laws, key=lambda s: -s.reach)[:LIKE]:
         fitted = search.fit(complete, place.near.at((*others, s.addition), place.left_out.hyper))
-        left = place.left_out.of_both(fitted.residual)
+        left = place.left_out.of_fit(fitted)
         law = intervals(fitted).terms[-1]
         if not _may_be_none(law):
             found.append(Like(law, reach(*map(place.of_joint, (left, least, before)))))

@@ -5,7 +5,8 @@ without each, in the linear problem about the fit to all, whose shapes of effect
 has to predict where it was never seen.
 
 The error sees what is slow. Its innovations, which an autoregression of the plain model's error does not foresee, see what is fast and
-lies under a slow disturbance.
+lies under a slow disturbance. Each is that of the coefficients that make it small: the error that of least squares, as of the model that is
+reported, the innovations those of the likeliest. What is likely may raise the error, since its noise may wander, and least squares the innovations.
 """
 
 from collections.abc import Collection, Sequence
@@ -16,8 +17,8 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.data import Noise
-from rrr_oc.calibration.estimator.evidence import Hyperparameters
-from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, NoiseStart
+from rrr_oc.calibration.estimator.fitting import Fitted, at_low_frequency
 from rrr_oc.calibration.estimator.left_out import PARTS, Fall, block_edges, fall_of
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.held_out import acts_on
@@ -60,8 +61,13 @@ class Falls:
 
     @property
     def predicts(self) -> bool:
-        """Whether one of them falls beyond chance, and none rises by as much as one is sought for."""
-        return self.surest.low > 0 and not self.rises_by(SOUGHT * MATTERS)
+        """Whether one of them falls beyond chance, and none rises by as much as one is sought for, or by a like share of that fall."""
+        return self.surest.low > 0 and not self.rises_by(SOUGHT * max(MATTERS, self.surest.low))
+
+    @property
+    def outweighed(self) -> float:
+        """Share by which another joint's may rise: of what does not matter, or small beside this fall."""
+        return max(MATTERS, SOUGHT * self.surest.low)
 
 
 class LeftOut:
@@ -69,12 +75,18 @@ class LeftOut:
 
     Attributes:
         near: The neighbours of the fit, with products by block.
-        hyper: Under which structures are solved, those of the fit.
+        hyper: Under which structures are the likeliest, those of the fit.
+        least_squares: The same products in noise that is white and as strong as in slow motion.
     """
 
     def __init__(self, near: Neighbours) -> None:
-        self.near = replace(near, level=Level(near.linear, block_edges(near.level.edges)))
-        self.hyper = near.linear.fitted.posterior.hyper
+        fitted, edges = near.linear.fitted, block_edges(near.level.edges)
+        data = near.linear.fitter.data
+        slow = NoiseStart.of(data, at_low_frequency(data, fitted))
+        white = replace(fitted, posterior=replace(fitted.posterior, hyper=slow.hyper, joints=slow.joints))
+        self.near = replace(near, level=Level(near.linear, edges))
+        self.least_squares = Level(replace(near.linear, fitted=white), edges)
+        self.hyper = fitted.posterior.hyper
         self._own = {a.source: in_shape(a) for a in near.linear.own}
         self._known: dict[tuple[Structure, Links], np.ndarray] = {}
 
@@ -84,17 +96,24 @@ class LeftOut:
 
     @property
     def whole(self) -> np.ndarray:
-        """What the fit with all its effects leaves, (n, M) [Nm]."""
+        """What the fit with all its effects leaves, as `residual`."""
         return self.residual(tuple(self._own[t] for t in self.near.linear.fitted.extra))
 
     def residual(self, structure: Structure, links: Links = "as fitted") -> np.ndarray:
-        """What a structure leaves of each joint's torque, (n, M) [Nm]; `links` say how far these may be off."""
+        """What a structure leaves of each joint's torque in least squares and where it is the likeliest, (2, n, M) [Nm]; `links` say how far
+        these may be off."""
         if (structure, links) not in self._known:
             self._known[structure, links] = self._residual(structure, links, self.hyper)
         return self._known[structure, links]
 
     def _residual(self, structure: Structure, links: Links, hyper: Hyperparameters) -> np.ndarray:
-        level, linear = self.near.level, self.near.linear
+        slow = replace(self.least_squares.posterior.hyper, links=hyper.links)
+        each = (self.least_squares, slow), (self.near.level, hyper)
+        return np.array([self._predicted(level, structure, links, one) for level, one in each])
+
+    def _predicted(self, level: Level, structure: Structure, links: Links, hyper: Hyperparameters) -> np.ndarray:
+        """What a structure leaves of blocks that it was not fitted to, (n, M) [Nm]."""
+        linear = self.near.linear
         result, blocks = np.zeros_like(linear.residual), level.whole
         for part in range(min(PARTS, len(blocks))):
             held = blocks[part::PARTS]
@@ -108,8 +127,12 @@ class LeftOut:
         return self.of_both(self.residual(structure, links) if hyper is None else self._residual(structure, links, hyper))
 
     def of_both(self, residual: np.ndarray) -> np.ndarray:
-        """Squares of errors (n, M) and of their innovations, (2, n)."""
-        return np.array([np.sum(x**2, axis=1) for x in (residual, self._fast(residual))])
+        """Squares of errors and of innovations, (2, n), of what is left in both ways, (2, n, M)."""
+        return np.array([np.sum(x**2, axis=1) for x in (residual[0], self._fast(residual[1]))])
+
+    def of_fit(self, fitted: Fitted) -> np.ndarray:
+        """Squares of errors and of innovations, (2, n), of a fit to all blocks."""
+        return self.of_both(np.array([self.near.linear.fitter.least_squares(fitted).residual, fitted.residual]))
 
     def _fast(self, residual: np.ndarray) -> np.ndarray:
         return np.array([white @ x for white, x in zip(self._whitening, residual, strict=True)])
@@ -121,15 +144,13 @@ class LeftOut:
         return self.compared(j, self.residual(after), self.residual(before), groups)
 
     def compared(self, j: int, after: np.ndarray, before: np.ndarray, groups: Collection[str] | None = None) -> Falls:
-        """How errors (n, M) of a joint and their innovations fall from one model to another, in some groups of recordings."""
-        x, y = after[j : j + 1], before[j : j + 1]
+        """How errors of a joint and their innovations fall from one model to another, of what these leave (2, n, M), in some groups."""
         data, edges = self.near.linear.fitter.data, self.near.level.edges
         there = np.isin(np.array(data.labels)[data.label[edges[:-1]]], list(groups or data.labels))
-        fast = [(self._whitening[j] @ one[0])[None] for one in (x, y)]
-        error, innovations = (
-            fall_of(j, *(self._by_block(one)[there, 0] for one in pair)) for pair in ((x, y), (fast[0], fast[1]))
-        )
-        rms = np.sqrt(self._by_block(y)[there].sum() / max(self._count(j)[there].sum(), 1))
+        errors, innovations = ([x[k, j] for x in (after, before)] for k in (0, 1))
+        fast = [self._whitening[j] @ x for x in innovations]
+        error, innovations = (fall_of(j, *(self._by_block(x)[there] for x in pair)) for pair in (errors, fast))
+        rms = np.sqrt(self._by_block(errors[1])[there].sum() / max(self._count(j)[there].sum(), 1))
         error, innovations = (replace(f, before=float(rms / data.torque[j])) for f in (error, innovations))
         return Falls(error, innovations)
 
@@ -138,12 +159,13 @@ class LeftOut:
         return np.add.reduceat(self.near.linear.fitter.data.counted[j], self.near.level.edges[:-1])
 
     def _by_block(self, residual: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(residual**2, self.near.level.edges[:-1], axis=1).T
+        """Squares of what is left of a joint (M,), block by block, (B,)."""
+        return np.add.reduceat(residual**2, self.near.level.edges[:-1])
 
     @cached_property
     def _whitening(self) -> list:
         """By joint the matrix that turns what the plain model leaves into innovations."""
-        data, plain = self.near.linear.fitter.data, self.residual(())
+        data, plain = self.near.linear.fitter.data, self.residual(())[1]
         noises = [Noise.of(plain[j], data.place[j], data.turning[j]) for j in range(data.n)]
         return [one.whitening(data.place[j], data.turning[j])[0] for j, one in enumerate(noises)]
 
@@ -162,8 +184,8 @@ def in_shape(effect: Addition) -> Addition:
 
 
 def predictive(left_out: LeftOut, findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding]]:
-    """Findings with which the error of a joint or its innovations fall beyond chance, and no joint's rise, those that matter most first;
-    and all others; with their sizes.
+    """Findings with which the error of a joint or its innovations fall beyond chance, and no joint's rise much beside that, those that
+    matter most first; and all others; with their sizes.
 
     What predicts least is left out first, and the others are judged without it, since of two that stand for each other one predicts.
     """
@@ -177,7 +199,7 @@ def predictive(left_out: LeftOut, findings: Sequence[Finding]) -> tuple[list[Fin
             for j in acts_on(term.effect, left_out.near.linear.fitter.data.n)
         ]
         sizes[term] = best = max(every, key=lambda falls: falls.surest.low)
-        return best.predicts and not any(falls.rises_by(MATTERS) for falls in every), best.surest.low
+        return best.predicts and not any(falls.rises_by(best.outweighed) for falls in every), best.surest.low
 
     while kept:
         every = {term: size(term) for term in kept}
@@ -226,7 +248,7 @@ def confirmed(
             best = max(falls, key=lambda one: one.surest.low)
             new = replace(f, fall=best.error, innovations=best.innovations, worth=worth)
             kept[kept.index(f)] = new
-            if not best.predicts or worth <= 0 or any(one.rises_by(MATTERS) for one in falls):
+            if not best.predicts or worth <= 0 or any(one.rises_by(best.outweighed) for one in falls):
                 wrong.append(new)
         gone = list[Finding]()  # of those that stand beside each other the worst: without it the others may predict
         for f in sorted(wrong, key=lambda f: f.worth):
