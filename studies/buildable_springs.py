@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -49,7 +49,7 @@ from rrr_oc.storage import check_folder, code, plain, read_npz, write_json, writ
 FLOOR = 0.0  # [m] that tool and links stay above: the base's plane
 LIMITS = SpringLimits(torque_Nm=20.0, turn_deg=180.0, force_N=800.0, energy_J=15.0)  # as in docs/codesign.md
 RIGID, BALANCED, ALL = "SA", "balanced at rest", "PEA+BPEA"
-ROWS = (RIGID, BALANCED, "PEA", ALL)
+ROWS = (RIGID, BALANCED, "PEA", ALL)  # in the order in which they are solved
 QUANTITIES = {"motor": "motor torque² [N²m²s]", "E1": "E1 of the load torque [N²m²s]", "work_J": "work of the motors [J]"}
 
 
@@ -90,6 +90,7 @@ def main(
     out: Results,
     cycle_times: Annotated[str, typer.Option(help="comma-separated [s]")] = "3,4,6,8",
     jerk: Annotated[float, typer.Option(min=100, help="limit of each joint [°/s³]")] = 900.0,
+    most: Annotated[Literal["PEA", "PEA+BPEA"], typer.Option(help="last row of the table")] = ALL,
     starts: Starts = 4,
     motions: Motions = 8,
     seed: Seed = 0,
@@ -109,12 +110,13 @@ def main(
     )
     run, found, console = Run(out, float(np.radians(jerk)), times, few, Output()), dict[str, Any](), wide_console()
     with parallel.workers(jobs, workers):
-        for name in (RIGID, "PEA", ALL, BALANCED):
+        for name in ROWS[: ROWS.index(most) + 1]:
+            fewer = [other for other in found if other != BALANCED]
             console.print(f"{name}: optimum")
-            found[name] = once(run, name, partial(_optimum, run, name, list(found)), [name])
+            found[name] = once(run, name, partial(_optimum, run, name, fewer), [name])
             console.print(f"{name}: at {', '.join(f'{t:g}' for t in times)} s")
             files = [_file(name, time) for time in times]
-            found[name] |= once(run, f"{name} at times", partial(_at_times, run, name, list(found)[:-1]), files)
+            found[name] |= once(run, f"{name} at times", partial(_at_times, run, name, fewer), files)
     write_json(out / "summary.json", {"jerk_deg_per_s3": jerk, "cycle_s": times, "designs": found})
     table = _report(run, found)
     write_text(out / "report.md", table)
@@ -176,12 +178,12 @@ def _told(design: CoDesign, solution: Solution) -> dict[str, Any]:
 
 
 def _report(run: Run, found: Mapping[str, Any]) -> str:
-    """A table for each quantity: rows as `ROWS`, a column for each cycle time, and what is saved against the rigid arm."""
+    """A table for each quantity: a row for each design, a column for each cycle time, and what is saved against the rigid arm."""
     times = ["any", *(f"{time:g} s" for time in run.times)]
     text = [f"# {__doc__.strip().splitlines()[0]}\n" if __doc__ else ""]
     for key, title in QUANTITIES.items():
         rows = []
-        for name in ROWS:
+        for name in found:
             pairs = zip([found[name], *found[name]["at"]], [found[RIGID], *found[RIGID]["at"]], strict=True)
             cells = [
                 "–" if own is None else _cell(own[key], None if stiff is None else stiff[key], name) for own, stiff in pairs
