@@ -5,8 +5,10 @@ without each, in the linear problem about the fit to all, whose shapes of effect
 has to predict where it was never seen.
 
 The error sees what is slow. Its innovations, which an autoregression of the plain model's error does not foresee, see what is fast and
-lies under a slow disturbance. Each is that of the coefficients that make it small: the error that of least squares, as of the model that is
-reported, the innovations those of the likeliest. What is likely may raise the error, since its noise may wander, and least squares the innovations.
+lies under a slow disturbance.
+
+Errors are those of least squares, as of the model that is reported. Innovations are of the likeliest coefficients. These leave errors, too,
+which are larger where noise may wander: an error falls or rises beyond chance only if it does so with both.
 """
 
 from collections.abc import Collection, Sequence
@@ -147,10 +149,11 @@ class LeftOut:
         """How errors of a joint and their innovations fall from one model to another, of what these leave (2, n, M), in some groups."""
         data, edges = self.near.linear.fitter.data, self.near.level.edges
         there = np.isin(np.array(data.labels)[data.label[edges[:-1]]], list(groups or data.labels))
-        errors, innovations = ([x[k, j] for x in (after, before)] for k in (0, 1))
-        fast = [self._whitening[j] @ x for x in innovations]
-        error, innovations = (fall_of(j, *(self._by_block(x)[there] for x in pair)) for pair in (errors, fast))
-        rms = np.sqrt(self._by_block(errors[1])[there].sum() / max(self._count(j)[there].sum(), 1))
+        pairs = [[x[k, j] for x in (after, before)] for k in (0, 1)]
+        pairs.append([self._whitening[j] @ x for x in pairs[1]])
+        error, likeliest, innovations = (fall_of(j, *(self._by_block(x)[there] for x in pair)) for pair in pairs)
+        error = replace(error, low=min(error.low, likeliest.low), high=max(error.high, likeliest.high))
+        rms = np.sqrt(self._by_block(before[0, j])[there].sum() / max(self._count(j)[there].sum(), 1))
         error, innovations = (replace(f, before=float(rms / data.torque[j])) for f in (error, innovations))
         return Falls(error, innovations)
 
