@@ -30,6 +30,7 @@ def error(
     segments: Sequence[slice],
     window: float = WINDOW,
     dropped: float = DROPPED,
+    counted: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """NRMSE [1] and RMSE [unit of the signal] of each row, both smoothed over `window` [s] (order 3), the ends dropped.
 
@@ -38,16 +39,19 @@ def error(
         recorded, predicted: Signals (n, K).
         segments: Slices of the samples that no filter may cross.
         dropped: Time left out at both ends [s].
+        counted: The samples that count, (n, K); all of them without it.
 
     Returns:
         `{"nrmse": (n,), "rmse": (n,)}`: RMSE over the standard deviation of the recorded signal, NaN where that is 0 or
         nothing is left.
     """
-    kept = (t >= t[0] + dropped) & (t <= t[-1] - dropped)
-    if not kept.any():
-        return {"nrmse": np.full(len(recorded), np.nan), "rmse": np.full(len(recorded), np.nan)}
-    recorded, predicted = (smooth(t, x, segments, window)[:, kept] for x in (recorded, predicted))
-    rmse, spread = np.sqrt(np.mean((predicted - recorded) ** 2, axis=1)), np.std(recorded, axis=1)
+    kept = np.broadcast_to((t >= t[0] + dropped) & (t <= t[-1] - dropped), recorded.shape)
+    kept = kept if counted is None else kept & counted
+    count = np.maximum(np.sum(kept, axis=1), 1)
+    recorded, predicted = (np.where(kept, smooth(t, x, segments, window), 0.0) for x in (recorded, predicted))
+    middle = (np.sum(recorded, axis=1) / count)[:, None]
+    spread = np.sqrt(np.sum(np.where(kept, recorded - middle, 0.0) ** 2, axis=1) / count)
+    rmse = np.where(kept.any(axis=1), np.sqrt(np.sum((predicted - recorded) ** 2, axis=1) / count), np.nan)
     still = spread <= 1e-12 * np.max(np.abs(recorded), axis=1)  # rounding
     return {"nrmse": np.where(still, np.nan, rmse / np.where(still, 1.0, spread)), "rmse": rmse}
 
@@ -59,11 +63,13 @@ def mean_nrmse(errors: np.ndarray) -> np.ndarray:
 
 
 def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
-    """Errors of the signal predicted from the measured motion, in the recorded unit, by file and joint."""
+    """Errors of the signal predicted from the measured motion, in the recorded unit, by file and joint; not where it is cut off."""
     model = model.placed(recordings)
-    return {
-        r.file: _by_joint(model.joints, error(r.t, r.tau, model.predict(r), r.segments, window)) for r in recordings.recordings
+    found = {
+        r.file: error(r.t, r.tau, model.predict(r), r.segments, window, counted=~recordings.clipped(r))
+        for r in recordings.recordings
     }
+    return {file: _by_joint(model.joints, errors) for file, errors in found.items()}
 
 
 def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:

@@ -20,7 +20,6 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics, samples_before
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
-from rrr_oc.recordings.faults import cut_off, zeroed
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
@@ -132,9 +131,7 @@ def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared,
             )
     sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
     spikes = np.zeros(recordings.robot.n, int)
-    found = tuple(
-        Prepared(r, recordings.output_torque(r), _moving(r) & ~_cut(r) & ~recordings.clipped(r), window, spikes) for r in sharp
-    )
+    found = tuple(Prepared(r, recordings.output_torque(r), _moving(r) & ~recordings.clipped(r), window, spikes) for r in sharp)
     low, high = (f([f(p.measured, axis=1) for p in found], axis=0) for f in (np.min, np.max))
     for j in np.flatnonzero((low == high) & np.any([p.moving.any(axis=1) for p in found], axis=0))[:1]:
         said = f"the torque of {recordings.joints[j]} is {low[j] + 0.0:g} Nm in every sample while the joint moves"
@@ -260,11 +257,6 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
             dq[j, s] = _speed(t, r.q[j, s], speed)
         dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
     return replace(r, dq=dq, ddq=ddq)
-
-
-def _cut(recording: Recording) -> np.ndarray:
-    """Where the recorded torque is cut off at a limit or in a dead band, (n, K); none of torques that a loop gives."""
-    return np.array([(cut_off(tau) | zeroed(tau)) & (recording.command is None) for tau in recording.tau])
 
 
 def _speed(t: np.ndarray, q: np.ndarray, least: int) -> np.ndarray:

@@ -18,8 +18,15 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLES = 600  # of all recordings together that are compared; doubled, the check takes twice as long
+SLOW, FASTER = (
+    0.1,
+    1.2,
+)  # [rad/s] below which dry friction may hold a joint, and times the others' speed that they do not tell; doubled, less is
 WIDTH = 0.02  # [rad/s] over which dry friction changes sign; doubled, slow motions fit a little worse
 LEAST_LOAD = 0.3  # share of a torque's deviation that the arm's must have to tell its unit; doubled, geared arms have none
+LEAST_WHOLE = (
+    0.3  # share of rows without any limit, below which all are compared; doubled, dead bands of weak joints are compared
+)
 # Times its error that a load must be, beside friction and braking, to tell what kp makes of commands; doubled, weak joints need a kp
 TOLD = 1.0
 # Most rotor inertia, over the link's own and over the arm's largest; doubled, springs pass for it in slow sweeps
@@ -62,10 +69,14 @@ class Samples:
 
     @classmethod
     def of(cls, recordings: RecordingSet) -> "Samples":
-        """`SAMPLES` of all recordings together, at least a few of each; none where a motor gives less than its loop asks for."""
+        """`SAMPLES` of all recordings together, at least a few of each; none that a limit cuts off, unless few were left."""
         total = sum(len(r.t) for r in recordings.recordings)
         counts = [max(8, round(SAMPLES * len(r.t) / total)) for r in recordings.recordings]
-        usable = [np.flatnonzero(~recordings.clipped(r).any(axis=0)) for r in recordings.recordings]
+        whole = [~recordings.clipped(r).any(axis=0) for r in recordings.recordings]
+        usable = [
+            np.flatnonzero(some if np.mean(some) > LEAST_WHOLE or recordings.torque == "command" else some | True)
+            for some in whole
+        ]
         rows = (
             kept[np.unique(np.linspace(0, len(kept) - 1, count).round().astype(int))] if len(kept) else kept
             for kept, count in zip(usable, counts, strict=True)
@@ -199,6 +210,35 @@ class Comparison:
                 own, least = _beside(columns[j], own), TOLD * left / np.sqrt(len(own))
             result.append(float(solution[0]) if np.std(own) > least else np.nan)
         return np.array(result)
+
+    def beyond(self, reading: Reading, j: int, rows: np.ndarray) -> tuple[float, float]:
+        """By how much the arm's torque exceeds a joint's in some rows (K,) [Nm], the median, and the others' error [Nm]."""
+        load, columns = self._motion(reading)
+        tau = self.samples.read(reading, self.samples.torque)[j]
+        found, left = _least(columns[j][~rows], (tau - load[j])[~rows])
+        more = np.sign(tau) * (load[j] + columns[j] @ found - tau)
+        return float(np.median(more[rows])), left / np.sqrt(max(np.sum(~rows), 1))
+
+    def left_out(self, reading: Reading, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the drives of all others leave of a recording's torques, (n, K), the others' own error, (n,), and their deviation, (n,) [Nm].
+
+        Left are 0 where the joint is faster than in the others, and as much less at rest as dry friction may hold there.
+        """
+        load, columns = self._motion(reading)
+        residual = self.samples.read(reading, self.samples.torque) - load
+        dq, ddq = np.concatenate([m[1:] for _, m, _ in self.samples.motion(reading)], axis=2)
+        own = np.repeat(np.arange(len(self.samples.rows)), [len(rows) for rows in self.samples.rows]) == k
+        result = []
+        for j, x in enumerate(residual):
+            found, left = _least(columns[j][~own], x[~own])
+            slow = _drive(0, *(np.array([[v, -v]]) * of for v, of in ((SLOW, 0), (SLOW, 1), (SLOW, 0))))
+            held = abs(float(np.diff(slow @ found[: slow.shape[1]])[0])) / 2 * (np.abs(dq[j, own]) < SLOW)
+            known = [np.abs(v[j, own]) < FASTER * np.max(np.abs(v[j, ~own])) for v in (dq, ddq)]
+            off = np.abs(x[own] - columns[j][own] @ found)
+            size = float(np.std(x[~own] + load[j, ~own]))
+            result.append((np.maximum(off - held, 0.0) * np.all(known, axis=0), left / np.sqrt(np.sum(~own)), size))
+        off, errors, sizes = zip(*result, strict=True)
+        return np.array(off), np.array(errors), np.array(sizes)
 
     @cached_property
     def without_braking(self) -> "Comparison":

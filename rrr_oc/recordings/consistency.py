@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.recordings import mends
+from rrr_oc.recordings import faults, mends
 from rrr_oc.recordings.comparison import Comparison, Reading, Samples
-from rrr_oc.recordings.mends import BAD, BETTER, CLEAN, GOOD, Hypothesis, torque_column
+from rrr_oc.recordings.mends import BAD, CLEAN, GOOD, Hypothesis, torque_column
 from rrr_oc.recordings.recording import RecordingSet
 
 LAGS = 0.3  # [s] up to which clocks are compared; doubled, slower links are seen and the check takes longer
@@ -20,6 +20,15 @@ LAG_STEP = 0.01  # [s] between two lags that are tried; doubled, a lag is told h
 MOVES = 0.05  # [rad] of travel, below which a joint tells nothing of its friction
 SEEN = 0.1  # share of a torque's noise that accelerations must make to show inertia; at 0.3, light wrists are warned of
 DIAGNOSIS = 2.0, 30.0  # [s] of a diagnosis for each joint, where nothing is missing and where much is (two and six joints)
+UNLIKE = (
+    4.0,
+    0.2,
+)  # times the others' error, and share of the torques' deviation, that make a recording unlike them; doubled, pushes pass
+PIECE = (
+    0.7,
+    0.6,
+)  # share of a recording's time that is told as its piece, and least share of rows there that are off; at 1, all are pieces
+EXCESS = 3.0, 0.05  # times the error elsewhere, and share of a limit, by which the arm needs more than it; doubled, limits pass
 NOTHING = 1e-9  # [Nm], below which the robot's file has no inertia there
 
 
@@ -28,7 +37,7 @@ class Doubt:
     """What looks wrong in a set.
 
     Attributes:
-        kind: "sign", "order", "unit", "coupling", "zero", "robot", "payload", "clock" or "excitation".
+        kind: "sign", "order", "unit", "coupling", "zero", "robot", "payload", "limit", "recording", "clock" or "excitation".
         columns: The columns that it is about.
         said: A sentence with the columns, the figures, the mend and its rivals, without a full stop.
         before, after: NRMSE of the worst joint concerned without and with the mend; None where nothing is mended.
@@ -61,16 +70,48 @@ class Consistency:
 def check_consistency(recordings: RecordingSet) -> Consistency:
     """What looks wrong in a set beside what its reader says, and how well a rigid arm with friction explains it."""
     samples, given = Samples.of(recordings), Reading.as_given(recordings.robot.n)
-    rigid, compared = Comparison(samples), Comparison(samples, springs=True)
-    mend = _mend(rigid, compared)
-    doubts = [*_of_one_recording(recordings, given)] if mend is None else _told(compared, *mend)
+    doubts, rigid = list[Doubt](), Comparison(samples)
+    for doubt, j, level in () if recordings.torque == "command" else _limits(recordings, given):
+        doubts.append(doubt)
+        effort = np.where(np.arange(recordings.robot.n) == j, level, recordings.robot.effort)
+        recordings = replace(recordings, robot=replace(recordings.robot, effort=effort))
+    compared = _both(recordings)
+    mend = _mend(*compared)
+    if mend is None:
+        told, others = _unlike(recordings, given)
+        doubts += told
+        compared = _both(others) if told else compared
+        mend = _mend(*compared) if told else None
+    doubts += [] if mend is None else _told(compared[1], *mend)
     reading = given if mend is None or mend[0].reading is None else mend[0].reading
-    doubts += [*_clocks(rigid, reading), *_excitation(rigid, reading)]
+    doubts += [*_clocks(compared[0], reading), *_excitation(compared[0], reading)]
     return Consistency(
         tuple(doubts),
         tuple(rigid.nrmse(given).tolist()),
         (DIAGNOSIS[0] * recordings.robot.n, DIAGNOSIS[1] * recordings.robot.n),
     )
+
+
+def _both(recordings: RecordingSet) -> tuple[Comparison, Comparison]:
+    """The comparison without and with springs that are not listed."""
+    samples = Samples.of(recordings)
+    return Comparison(samples), Comparison(samples, springs=True)
+
+
+def _limits(recordings: RecordingSet, given: Reading) -> Iterator[tuple[Doubt, int, float]]:
+    """Levels at which recorded torques stay up to their noise though the arm needs more, with the joint and the level [Nm]."""
+    compared = Comparison(Samples.of(recordings), springs=True)
+    for j, joint in enumerate(recordings.joints if compared.nominal else ()):
+        found = [faults.flat_top(recordings.output_torque(r)[j]) for r in recordings.recordings]
+        at = np.concatenate([at[some] for (at, _), some in zip(found, compared.samples.rows, strict=True)])
+        if not 0 < np.mean(at) < 0.5:
+            continue
+        level = min(level for rows, level in found if rows.any())
+        more, error = compared.beyond(given, j, at)
+        if more > max(EXCESS[0] * error, EXCESS[1] * level):
+            column = f"{torque_column(recordings)}_{joint}"
+            said = f"{column} stays at {level:.3g} Nm, where the arm needs {more:.2g} Nm more: it is cut off there; as 'effort' of "
+            yield Doubt("limit", (column,), f"{said}{joint} in the robot's file, this limit leaves the rows out"), j, level
 
 
 def _mend(rigid: Comparison, compared: Comparison) -> tuple[Hypothesis, tuple[str, ...]] | None:
@@ -108,20 +149,40 @@ def _told(compared: Comparison, found: Hypothesis, rivals: tuple[str, ...], wher
     return doubts
 
 
-def _of_one_recording(recordings: RecordingSet, given: Reading) -> Iterator[Doubt]:
-    """Mistakes of one recording alone, in which a joint's error is far larger than in the others."""
-    sets = [replace(recordings, recordings=(r,)) for r in recordings.recordings]
-    every = [Comparison(Samples.of(one), springs=True) for one in sets] if len(sets) > 1 else []
-    errors = np.array([compared.nrmse(given) for compared in every])
-    for k, compared in enumerate(every):
-        others = np.ma.median(np.ma.masked_invalid(np.delete(errors, k, axis=0)), axis=0).filled(np.inf)
-        far = others < BETTER * errors[k]
-        if not far.any():
+def _unlike(recordings: RecordingSet, given: Reading) -> tuple[list[Doubt], RecordingSet]:
+    """What is told of recordings that the drives and the arm of all others explain far worse, and the set of the others."""
+    doubts, far, compared = list[Doubt](), list[int](), Comparison(Samples.of(recordings), springs=True)
+    for k, r in enumerate(recordings.recordings if len(recordings.recordings) > 1 else ()):
+        off, errors, sizes = compared.left_out(given, k)
+        least = np.maximum(UNLIKE[0] * errors, UNLIKE[1] * sizes)
+        joints = np.flatnonzero((np.sqrt(np.mean(off**2, axis=1)) > least) & (sizes > 0))
+        if not len(joints):
             continue
-        poor = errors[k] > BAD
-        found = mends.best_of([*mends.of_columns(compared, bool(poor.any()))], errors[k], poor)
-        if found is not None and np.all(far[poor]):
-            yield from _told(compared, *found, f"{recordings.recordings[k].file}: ")
+        far.append(k)
+        alone = _both(replace(recordings, recordings=(r,)))
+        mend = _mend(*alone)
+        if mend is not None:
+            doubts += _told(alone[1], *mend, f"{r.file}: ")
+            continue
+        names = ", ".join(recordings.joints[j] for j in joints)
+        when = _piece(r.t[compared.samples.rows[k]], np.any(off > least[:, None], axis=0))
+        said = f"{r.file}: the torque of {names}{when} is not that of the arm that the other recordings show; was it held, pushed or "
+        said += (
+            "stopped, was the payload, a unit or a zero changed, or is it another arm? Leave the recording or these rows out"
+        )
+        doubts.append(Doubt("recording", tuple(f"{torque_column(recordings)}_{recordings.joints[j]}" for j in joints), said))
+    if 2 * len(far) >= len(recordings.recordings):
+        return [], recordings
+    return doubts, replace(recordings, recordings=tuple(r for k, r in enumerate(recordings.recordings) if k not in far))
+
+
+def _piece(t: np.ndarray, off: np.ndarray) -> str:
+    """The piece of a recording in which rows (K,) are off, in words; nothing where it is most of it."""
+    rows = np.flatnonzero(off)
+    inside = (
+        len(rows) and t[rows[-1]] - t[rows[0]] < PIECE[0] * (t[-1] - t[0]) and len(rows) > PIECE[1] * (rows[-1] - rows[0] + 1)
+    )
+    return f" from {t[rows[0]]:.3g} to {t[rows[-1]]:.3g} s" if inside else ""
 
 
 def _clocks(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
@@ -156,15 +217,10 @@ def _excitation(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
     if not compared.nominal:
         return
     inertial = np.std(compared.samples.load(reading) - compared.samples.load(reading, rates=False), axis=1)
-    noise = np.mean([_noise(recordings.output_torque(r)) for r in recordings.recordings], axis=0)
-    for joint, way, part, least in zip(recordings.joints, travel, inertial, SEEN * noise, strict=True):
-        if way >= MOVES and NOTHING < part < least:
+    noise = np.mean([faults.white_noise(recordings.output_torque(r)) for r in recordings.recordings], axis=0)
+    errors = compared.nrmse(reading)
+    for joint, way, part, least, error in zip(recordings.joints, travel, inertial, SEEN * noise, errors, strict=True):
+        if way >= MOVES and NOTHING < part < least and not error > BAD:
             said = f"accelerations change the torque of {joint} by {part:.2g} Nm, and its noise is {least / SEEN:.2g} Nm"
             said += ": the inertia of the links is hardly seen there; record it faster"
             yield Doubt("excitation", (f"ddq_{joint}",), said)
-
-
-def _noise(torque: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise in torques (n, K), from their second differences, (n,); steps and spikes are none."""
-    second = np.diff(torque, 2, axis=1)
-    return np.minimum(np.std(second, axis=1), np.quantile(np.abs(second), 0.683, axis=1)) / np.sqrt(6)

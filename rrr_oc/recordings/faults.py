@@ -1,5 +1,6 @@
 """Faults of sensors, drivers and files that leave every column possible: what is told of them, a part of a sentence each."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -18,6 +19,8 @@ CUT_LEVEL, CUT_TIMES = (
     0.01,
     6.0,
 )  # the share of the range below it that has so many times fewer rows; a sine's peak has 2.4 times
+# Times its noise that a torque at a limit is off it at most, the share of the limit that this may be, and `CUT_TIMES` in noise
+REACH, WIDEST, NOISY_TIMES = 3.0, 0.1, 3.0
 # Sizes of a torque from which its resolution is known, and times this, a gap about 0 that makes a dead band; doubled, small ones stay
 LEVELS, BAND = 8, 3.0
 # Times this quantile of the deviations from the running median that make a spike; doubled, small ones stay
@@ -81,11 +84,36 @@ def _longest_stay(t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> tuple[float, 
     return (float(t[begins[k]]), float(t[ends[k]]), float(ways[k])) if enough else (0.0, 0.0, 0.0)
 
 
-def cut_off(torque: np.ndarray) -> np.ndarray:
+def white_noise(torque: np.ndarray) -> np.ndarray:
+    """Standard deviation of white noise in torques (n, K), from their second differences, (n,); steps and spikes are none."""
+    second = np.diff(torque, 2, axis=1)
+    return np.minimum(np.std(second, axis=1), np.quantile(np.abs(second), 0.683, axis=1)) / np.sqrt(6)
+
+
+def flat_top(torque: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where a noisy torque (K,) stays about its largest sizes, (K,), and their level; no proof of a limit, as steady friction does so, too."""
+    size, reach = np.abs(torque), REACH * float(white_noise(torque[None])[0])
+    level = float(np.median(size[size >= np.max(size) - 2 * reach]))
+    at, below = size > level - reach, (size > level - 3 * reach) & (size <= level - reach)
+    enough = _longest(at) >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > NOISY_TIMES * np.sum(below)
+    return at & enough & (0 < reach < WIDEST * level), level
+
+
+def _longest(at: np.ndarray) -> int:
+    """The most rows (K,) that are so one after the other."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at, [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def cut_off(torque: np.ndarray, limit: float = 0.0) -> np.ndarray:
     """Where a torque (K,) is cut off, (K,); nowhere unless there is a limit.
 
-    So many rows in a row have exactly this size, and so few are a little below, as is so of no sampled motion, whatever its resolution.
+    So many rows in a row have exactly the largest size, whatever its resolution; or up to its noise that of the joint's limit (0: none).
     """
+    reach = REACH * float(white_noise(torque[None])[0])
+    at = np.abs(torque) > limit - reach
+    if 0 < reach < WIDEST * limit < np.inf and np.max(np.abs(torque)) < limit + 2 * reach and _longest(at) >= CUT_RUN:
+        return at
     size, largest = np.abs(torque), float(np.max(np.abs(torque)))
     at = size > largest * (1 - 1e-9)
     near = (size > (1 - CUT_LEVEL) * largest) & ~at
@@ -93,9 +121,7 @@ def cut_off(torque: np.ndarray) -> np.ndarray:
     if len(levels) < 3:  # so few that the next one says nothing
         return np.zeros_like(at)
     below = np.sum(near) if near.any() else np.sum(size == levels[-2])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at, [0]])))
-    longest = int(np.max(edges[1::2] - edges[::2]))
-    cut = largest > 0 and longest >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
+    cut = largest > 0 and _longest(at) >= CUT_RUN and np.mean(at) > CUT_ROWS and np.sum(at) > CUT_TIMES * below
     return at & cut
 
 
@@ -146,6 +172,16 @@ def stays(t: np.ndarray, q: np.ndarray) -> np.ndarray:
         if len(stay) and t[stay[-1]] - t[stay[0]] > FROZEN:
             result[stay] = True
     return result
+
+
+def copies(columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Of columns (K,), pairs that hold the same changing numbers in every row."""
+    pairs = itertools.combinations(columns.items(), 2)
+    return [
+        f"{b} holds the same numbers as {a} in every row; was one of them recorded?"
+        for (a, x), (b, y) in pairs
+        if np.ptp(x) > 0 and np.array_equal(x, y)
+    ]
 
 
 def repeated(rows: Sequence[np.ndarray]) -> list[tuple[int, int, float]]:

@@ -31,8 +31,16 @@ CLEAR, CLEAN = 1.2, 0.1  # or fall by the first, if no joint's error is above th
 RIVAL = 0.7  # by which these sums, with `WORTH` for each mistake, may differ between rivals; doubled, more of them are told
 MOST_RIVALS = 3  # that are told; doubled, a sentence takes two lines more
 SCALES = (1 / 8, 8.0)  # a torque so much smaller or larger than the arm's is in another unit; at 3, a missing payload is one
+NEARER = (0.5, 2.0)  # and so where nothing else is left; doubled, gains are left to the diagnosis
 ALIKE = 0.2  # by which factors of all joints may differ that have one cause; doubled, heavy payloads look like a unit
 UNITS = {1e3: "mNm", 1e2: "Ncm", 9.80665: "kgf m", 980.665: "gf m", 98.0665: "kgf cm", 1e-3: "kNm", 0.112985: "in lbf"}
+ANGLES = {  # what positions are multiplied by
+    DEGREES: "angles in rad that were taken for degrees",
+    1 / DEGREES: "angles in degrees",
+    2 * np.pi: "angles in turns",
+    **{1 / n: f"angles before a gear of 1:{n}" for n in (2, 3, 4, 5, 6, 8, 10, 20, 50, 100)},
+}
+MASSES = {0.45359: "lb", 1e-3: "g", 0.10197: "N"}  # of payloads, over a kg
 ZEROS = np.radians([-180, -150, -120, -90, -60, -45, -30, -15, 15, 30, 45, 60, 90, 120, 150])  # that are tried first
 LEAST_ANGLE, MOST_ANGLE = 0.2, 13.0  # [rad] between which the largest angle of recordings lies; two turns
 FINER = np.radians([10, 5, 2, 1, 0.5])  # steps by which the best of them is moved
@@ -143,7 +151,7 @@ def of_columns(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
     yield from _signs(compared, several)
     yield from _orders(compared)
     if compared.nominal:
-        yield from _degrees(compared)
+        yield from _angles(compared, several)
         yield from _sums(compared)
         yield from _zeros(compared)
 
@@ -233,17 +241,20 @@ def _orders(compared: Comparison) -> Iterator[Hypothesis]:
             yield Hypothesis((Mistake("order", columns, said),), compared.nrmse(reading), reading)
 
 
-def _degrees(compared: Comparison) -> Iterator[Hypothesis]:
-    """Positions in degrees, or in radians that were taken for degrees."""
+def _angles(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
+    """Positions in another unit, or of the motor's side of a gear; of one joint alone, too, where joints are poor."""
     names, torque = compared.samples.recordings.joints, torque_column(compared.samples.recordings)
-    for factor, how in ((DEGREES, "angles in rad that were taken for degrees"), (1 / DEGREES, "angles in degrees")):
-        largest = max(float(np.max(np.abs(r.q))) for r in compared.samples.recordings.recordings)
-        if not LEAST_ANGLE < factor * largest < MOST_ANGLE:
-            continue
-        n, q = len(names), tuple(f"q_{joint}" for joint in names)
-        reading = Reading(factor * np.eye(n), (factor if torque == "command" else 1.0) * np.eye(n), np.zeros(n))
-        said = f"positions fit when they are multiplied by {factor:.3g}, as {how}"
-        yield Hypothesis((Mistake("unit", q, said),), compared.nrmse(reading), reading)
+    n, largest = len(names), np.max([np.max(np.abs(r.q), axis=1) for r in compared.samples.recordings.recordings], axis=0)
+    for factor, how in ANGLES.items():
+        for which in (np.ones(n, bool), *(np.eye(n, dtype=bool) if several and n > 1 else ())):
+            if not LEAST_ANGLE < factor * np.max(largest[which]) < MOST_ANGLE:
+                continue
+            times = np.where(which, factor, 1.0)
+            reading = Reading(np.diag(times), np.diag(times) if torque == "command" else np.eye(n), np.zeros(n))
+            q = tuple(f"q_{joint}" for joint, one in zip(names, which, strict=True) if one)
+            some, they = ("positions", "they are") if len(q) == n > 1 else (q[0], "it is")
+            said = f"{some} {'fit' if len(q) == n > 1 else 'fits'} when {they} multiplied by {factor:.3g}, as {how}"
+            yield Hypothesis((Mistake("unit", q, said),), compared.nrmse(reading), reading)
 
 
 def _sums(compared: Comparison) -> Iterator[Hypothesis]:
@@ -299,6 +310,8 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
     for sign, opposite in ((1.0, ""), (-1.0, "minus ")):
         factors = rigid.factors(replace(Reading.as_given(n), tau=sign * np.eye(n)))
         far = far_factors(factors)
+        clear = not far.any()  # nearer ones are told where they explain all
+        far = far_factors(factors, NEARER) if clear else far
         if not far.any():
             continue
         known = np.log(factors[np.isfinite(factors)])
@@ -309,7 +322,9 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
             what = "kp of all joints is" if loops else "all torques are"
             said = f"{what} {opposite}{scale:.3g} times {_needed(scale, loops)}"
             heavier = (f"all links are {scale:.3g} times as heavy as in the robot's file",) * (sign > 0)
-            yield Hypothesis((Mistake("unit", tau, said),), compared.nrmse(reading, scale=1 / scale), equals=heavier)
+            after = compared.nrmse(reading, scale=1 / scale)
+            if not clear or np.nanmax(after) < CLEAN:
+                yield Hypothesis((Mistake("unit", tau, said),), after, equals=heavier)
             if len(known) == n:
                 continue
         for j in np.flatnonzero(far).tolist():
@@ -317,13 +332,15 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
             said = f"{what} is {opposite}{factors[j]:.3g} times {_needed(factors[j], loops)}"
             mistakes.append(Mistake("unit", (f"{torque}_{names[j]}",), said, j))
         each = np.where(far, factors, 1.0)
-        yield Hypothesis(tuple(mistakes), compared.nrmse(reading, scale=1 / each[:, None]))
+        after = compared.nrmse(reading, scale=1 / each[:, None])
+        if not clear or np.nanmax(after) < CLEAN:
+            yield Hypothesis(tuple(mistakes), after)
 
 
-def far_factors(factors: np.ndarray) -> np.ndarray:
+def far_factors(factors: np.ndarray, scales: tuple[float, float] = SCALES) -> np.ndarray:
     """Where torques are such a multiple of the arm's, (n,), as `Comparison.factors` has it, that no gain explains it."""
     with np.errstate(invalid="ignore"):
-        return (factors > 0) & ~((factors > SCALES[0]) & (factors < SCALES[1]))
+        return (factors > 0) & ~((factors > scales[0]) & (factors < scales[1]))
 
 
 def _needed(factor: float, loops: bool) -> str:
@@ -395,13 +412,29 @@ def _gravity(compared: Comparison) -> Iterator[Hypothesis]:
 
 
 def _payload(compared: Comparison) -> Iterator[Hypothesis]:
-    """A listed payload that was not there."""
+    """Listed payloads that were not there, are in another unit, or belong to other recordings."""
     recordings = compared.samples.recordings
-    heaviest = max(float(np.max(r.payload)) for r in recordings.recordings)
-    if heaviest > 0:
-        empty = tuple(replace(r, payload=0 * r.payload) for r in recordings.recordings)
-        bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=empty)), compared.springs)
-        said = f"the torques fit better without the listed payload of up to {heaviest:g} kg"
+    listed = [r.payload for r in recordings.recordings]
+    heaviest = max(float(np.max(payload)) for payload in listed)
+    if not heaviest > 0:
+        return
+    told = {f"the torques fit better without the listed payload of up to {heaviest:g} kg": [0 * payload for payload in listed]}
+    for factor, unit in MASSES.items():
+        told[f"the listed payloads of up to {heaviest:g} kg fit when they are multiplied by {factor:.4g}, as if in {unit}"] = [
+            factor * payload for payload in listed
+        ]
+    sizes = [float(np.median(payload)) for payload in listed]
+    if len(set(sizes)) > 1:
+        for i, j in itertools.combinations(range(len(sizes)), 2):
+            if sizes[i] != sizes[j]:
+                a, b = recordings.recordings[i].file, recordings.recordings[j].file
+                swap = {i: listed[j], j: listed[i]}
+                told[f"the listed payloads of {a} and {b} ({sizes[i]:g} and {sizes[j]:g} kg) fit when they are swapped"] = [
+                    np.full(len(payload), np.median(swap.get(k, payload))) for k, payload in enumerate(listed)
+                ]
+    for said, payloads in told.items():
+        other = tuple(replace(r, payload=payload) for r, payload in zip(recordings.recordings, payloads, strict=True))
+        bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=other)), compared.springs)
         yield Hypothesis((Mistake("payload", ("payload",), said),), bare.nrmse(Reading.as_given(recordings.robot.n)))
 
 

@@ -135,7 +135,8 @@ def _faults(
     except UserError:  # they may hold anything
         values = []
     beside = {name.removeprefix("q_"): x for name, x in zip(others, values, strict=False)}
-    return (*faults.unlisted(beside, robot.held), *faults.frozen(columns["t"], segments, q, dq))
+    signals = {name: x for name, x in columns.items() if name not in ("t", "payload") and not name.startswith(RATES)}
+    return (*faults.unlisted(beside, robot.held), *faults.frozen(columns["t"], segments, q, dq), *faults.copies(signals))
 
 
 def _one_payload(table: Table) -> Table:

@@ -196,9 +196,9 @@ class RecordingSet:
         doubts = [f"{r.file}: {fault}" for r in self.recordings for fault in r.faults]
         for j, joint in enumerate(self.joints):
             column, unit = f"{EFFORTS.get(self.torque, 'tau')}_{joint}", UNIT_OF.get(self.torque, "Nm")
-            cut = [(r, rows) for r in self.recordings if r.command is None and (rows := faults.cut_off(r.tau[j])).any()]
+            cut = [(r, rows) for r in self.recordings if r.command is None and (rows := self._cut_off(r, j)).any()]
             if cut:
-                share, size = max((float(np.mean(rows)), float(np.max(np.abs(r.tau[j])))) for r, rows in cut)
+                share, size = max((float(np.mean(rows)), float(np.median(np.abs(r.tau[j][rows])))) for r, rows in cut)
                 where = f"{_named([r for r, _ in cut])}: {column} is cut off at {size:.4g} {unit}"
                 doubts.append(
                     f"{where}, in up to {100 * share:.2g} % of the rows, and the true one is larger there; these rows of the joint do not count"
@@ -259,8 +259,17 @@ class RecordingSet:
         """Where a loop asks for more than a joint's limit of torque, (n, K)."""
         return (np.abs(recording.tau) > self.robot.effort[:, None]) & (recording.loop is not None)
 
+    def _cut_off(self, recording: Recording, j: int) -> np.ndarray:
+        """Where the recorded torque of a joint is cut off, (K,)."""
+        return faults.cut_off(self.output_torque(recording)[j], float(self.robot.effort[j]))
+
     def clipped(self, recording: Recording) -> np.ndarray:
-        """Where a motor gives less than its loop asks for, (n, K); nowhere for a joint of which that is so in most rows."""
+        """Where recorded torques are cut off or in a dead band, or a motor gives less than its loop asks for, (n, K).
+
+        Of a loop nowhere for a joint of which that is so in most rows.
+        """
+        if recording.command is None:
+            return np.array([self._cut_off(recording, j) | faults.zeroed(tau) for j, tau in enumerate(recording.tau)])
         asks = self._asks(recording)
         return asks & (np.mean(asks, axis=1, keepdims=True) <= MOST_BEYOND)
 
