@@ -14,10 +14,12 @@ from scipy.optimize import nnls
 from rrr_oc.effects import Effect, Signals, plain_effects
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
+from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLES = 600  # of all recordings together that are compared; doubled, the check takes twice as long
+HELD = 0.25  # share of rows that repeat the last command, from which steps of commands are smoothed; doubled, holds of two rows stay
 SLOW, FASTER = (
     0.1,
     1.2,
@@ -85,10 +87,10 @@ class Samples:
 
     @cached_property
     def torque(self) -> np.ndarray:
-        """Recorded torque at the output [Nm], or commands [rad], (n, K)."""
+        """Recorded torque at the output [Nm], or commands [rad] without the steps of a loop that holds them, (n, K)."""
         parts = []
         for r, rows in zip(self.recordings.recordings, self.rows, strict=True):
-            torque = self.recordings.output_torque(r) if r.command is None else r.command
+            torque = self.recordings.output_torque(r) if r.command is None else _without_steps(r)
             parts.append(
                 torque[:, rows] if not self.lag else np.array([np.interp(r.t[rows] + self.lag, r.t, x) for x in torque])
             )
@@ -280,6 +282,13 @@ class Comparison:
         recordings = self.samples.recordings
         other = replace(recordings, robot=replace(recordings.robot, **changes))  # type: ignore[arg-type]
         return Comparison(replace(self.samples, recordings=other), self.springs)
+
+
+def _without_steps(r: Recording) -> np.ndarray:
+    """Commands (n, K) [rad], smoothed where they are held for some samples while the joints move."""
+    assert r.command is not None
+    held = np.mean((np.diff(r.command, axis=1) == 0) & (np.diff(r.q, axis=1) != 0), axis=1) > HELD
+    return np.where(held[:, None], smooth(r.t, r.command, r.segments), r.command)
 
 
 def _drive(j: int, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:

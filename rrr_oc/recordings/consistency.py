@@ -108,7 +108,7 @@ def _limits(recordings: RecordingSet, given: Reading) -> Iterator[tuple[Doubt, i
             continue
         level = min(level for rows, level in found if rows.any())
         more, error = compared.beyond(given, j, at)
-        if more > max(EXCESS[0] * error, EXCESS[1] * level):
+        if more > max(EXCESS[0] * error, EXCESS[1] * level) and error < CLEAN * level:
             column = f"{torque_column(recordings)}_{joint}"
             said = f"{column} stays at {level:.3g} Nm, where the arm needs {more:.2g} Nm more: it is cut off there; as 'effort' of "
             yield Doubt("limit", (column,), f"{said}{joint} in the robot's file, this limit leaves the rows out"), j, level

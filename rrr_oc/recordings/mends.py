@@ -302,11 +302,16 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
     """
     recordings = compared.samples.recordings
     names, torque, n = recordings.joints, torque_column(recordings), len(recordings.joints)
-    rigid, compared, loops = rigid.without_braking, compared.without_braking, torque == "command"
+    given, loops = compared, torque == "command"
+    rigid, compared = rigid.without_braking, compared.without_braking
     if loops:
         said = "what kp and kd make of commands fits with a smaller kd than is listed"
         columns = tuple(f"command_{joint}" for joint in names)
-        yield Hypothesis((Mistake("unit", columns, said),), compared.nrmse(Reading.as_given(n)))
+        sizes = [np.std(c.samples.read(Reading.as_given(n), c.samples.torque), axis=1) for c in (compared, given)]
+        after = (
+            compared.nrmse(Reading.as_given(n)) * sizes[0] / np.maximum(sizes[1], 1e-12)
+        )  # in Nm as before, whose torques brake
+        yield Hypothesis((Mistake("unit", columns, said),), after)
     for sign, opposite in ((1.0, ""), (-1.0, "minus ")):
         factors = rigid.factors(replace(Reading.as_given(n), tau=sign * np.eye(n)))
         far = far_factors(factors)
