@@ -121,7 +121,7 @@ def _mend(rigid: Comparison, compared: Comparison) -> tuple[Hypothesis, tuple[st
     hypotheses = [*mends.of_columns(compared, bool(poor.any()))]
     if max(np.nanmax(rigid.nrmse(given), initial=0.0), np.nanmax(before, initial=0.0)) > CLEAN:
         hypotheses += [*mends.of_robot(compared)]
-    if poor.any() and compared.nominal:
+    if np.nanmax(before, initial=0.0) > CLEAN and compared.nominal:
         hypotheses += [*mends.units(rigid, compared)]
     return mends.best_of(hypotheses, before, poor)
 
@@ -167,9 +167,7 @@ def _unlike(recordings: RecordingSet, given: Reading) -> tuple[list[Doubt], Reco
         names = ", ".join(recordings.joints[j] for j in joints)
         when = _piece(r.t[compared.samples.rows[k]], np.any(off > least[:, None], axis=0))
         said = f"{r.file}: the torque of {names}{when} is not that of the arm that the other recordings show; was it held, pushed or "
-        said += (
-            "stopped, was the payload, a unit or a zero changed, or is it another arm? Leave the recording or these rows out"
-        )
+        said += "stopped, did an encoder stand still, was the payload, a unit or a zero changed, or is it another arm? Leave these rows out"
         doubts.append(Doubt("recording", tuple(f"{torque_column(recordings)}_{recordings.joints[j]}" for j in joints), said))
     if 2 * len(far) >= len(recordings.recordings):
         return [], recordings
@@ -218,9 +216,10 @@ def _excitation(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
         return
     inertial = np.std(compared.samples.load(reading) - compared.samples.load(reading, rates=False), axis=1)
     noise = np.mean([faults.white_noise(recordings.output_torque(r)) for r in recordings.recordings], axis=0)
-    errors = compared.nrmse(reading)
-    for joint, way, part, least, error in zip(recordings.joints, travel, inertial, SEEN * noise, errors, strict=True):
-        if way >= MOVES and NOTHING < part < least and not error > BAD:
+    left = compared.nrmse(reading) * np.std(compared.samples.read(reading, compared.samples.torque), axis=1)
+    noise = np.fmin(noise, left)  # steps of commands are none
+    for joint, way, part, least in zip(recordings.joints, travel, inertial, SEEN * noise, strict=True):
+        if way >= MOVES and NOTHING < part < least:
             said = f"accelerations change the torque of {joint} by {part:.2g} Nm, and its noise is {least / SEEN:.2g} Nm"
             said += ": the inertia of the links is hardly seen there; record it faster"
             yield Doubt("excitation", (f"ddq_{joint}",), said)

@@ -38,8 +38,8 @@ ANGLES = {  # what positions are multiplied by
     DEGREES: "angles in rad that were taken for degrees",
     1 / DEGREES: "angles in degrees",
     2 * np.pi: "angles in turns",
-    **{1 / n: f"angles before a gear of 1:{n}" for n in (2, 3, 4, 5, 6, 8, 10, 20, 50, 100)},
 }
+GEARS = {1 / n: f"angles before a gear of 1:{n}" for n in (2, 3, 4, 5, 6, 8, 10, 20, 50, 100)}  # of one joint
 MASSES = {0.45359: "lb", 1e-3: "g", 0.10197: "N"}  # of payloads, over a kg
 ZEROS = np.radians([-180, -150, -120, -90, -60, -45, -30, -15, 15, 30, 45, 60, 90, 120, 150])  # that are tried first
 LEAST_ANGLE, MOST_ANGLE = 0.2, 13.0  # [rad] between which the largest angle of recordings lies; two turns
@@ -245,8 +245,9 @@ def _angles(compared: Comparison, several: bool) -> Iterator[Hypothesis]:
     """Positions in another unit, or of the motor's side of a gear; of one joint alone, too, where joints are poor."""
     names, torque = compared.samples.recordings.joints, torque_column(compared.samples.recordings)
     n, largest = len(names), np.max([np.max(np.abs(r.q), axis=1) for r in compared.samples.recordings.recordings], axis=0)
-    for factor, how in ANGLES.items():
-        for which in (np.ones(n, bool), *(np.eye(n, dtype=bool) if several and n > 1 else ())):
+    for factor, how in (ANGLES | GEARS).items():
+        every = (np.ones(n, bool),) * (n == 1 or factor in ANGLES)
+        for which in (*every, *(np.eye(n, dtype=bool) if several and n > 1 else ())):
             if not LEAST_ANGLE < factor * np.max(largest[which]) < MOST_ANGLE:
                 continue
             times = np.where(which, factor, 1.0)
