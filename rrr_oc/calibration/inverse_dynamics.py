@@ -58,7 +58,8 @@ def finished(
 ) -> CalibratedModel:
     """The model with its noise, its NRMSE on the recordings calibrated on, and a report; `began` as of `time.perf_counter`."""
     errors = [
-        error(r.t, recordings.output_torque(r), model.predicted_torque(r), r.segments)["nrmse"] for r in recordings.recordings
+        error(r.t, recordings.output_torque(r), model.predicted_torque(r), r.segments, counted=~recordings.clipped(r))["nrmse"]
+        for r in recordings.recordings
     ]
     more = {"wall_s": time.perf_counter() - began, "recordings": [r.file for r in recordings.recordings]}
     more |= {"measurement": measurement(recordings, model), "clocks": said_of_clocks(recordings)}

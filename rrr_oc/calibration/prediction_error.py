@@ -29,7 +29,6 @@ def error(
     predicted: np.ndarray,
     segments: Sequence[slice],
     window: float = WINDOW,
-    dropped: float = DROPPED,
     counted: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """NRMSE [1] and RMSE [unit of the signal] of each row, both smoothed over `window` [s] (order 3), the ends dropped.
@@ -38,14 +37,13 @@ def error(
         t: Times [s], shape (K,).
         recorded, predicted: Signals (n, K).
         segments: Slices of the samples that no filter may cross.
-        dropped: Time left out at both ends [s].
         counted: The samples that count, (n, K); all of them without it.
 
     Returns:
         `{"nrmse": (n,), "rmse": (n,)}`: RMSE over the standard deviation of the recorded signal, NaN where that is 0 or
         nothing is left.
     """
-    kept = np.broadcast_to((t >= t[0] + dropped) & (t <= t[-1] - dropped), recorded.shape)
+    kept = np.broadcast_to((t >= t[0] + DROPPED) & (t <= t[-1] - DROPPED), recorded.shape)
     kept = kept if counted is None else kept & counted
     count = np.maximum(np.sum(kept, axis=1), 1)
     recorded, predicted = (np.where(kept, smooth(t, x, segments, window), 0.0) for x in (recorded, predicted))
