@@ -340,7 +340,8 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
         each = np.where(far, factors, 1.0)
         after = compared.nrmse(reading, scale=1 / each[:, None])
         if not clear or np.nanmax(after) < CLEAN:
-            yield Hypothesis(tuple(mistakes), after)
+            other = ("links, payload or gears are others than in the robot's file, as of another arm",) * clear
+            yield Hypothesis(tuple(mistakes), after, equals=other)
 
 
 def far_factors(factors: np.ndarray, scales: tuple[float, float] = SCALES) -> np.ndarray:

@@ -124,6 +124,15 @@ def test_torques_of_one_recording_in_another_unit_are_named_and_nothing_is_said_
     assert doubt.said.startswith("b.csv: all torques are ")
 
 
+def test_torques_of_a_smaller_multiple_for_each_joint_may_be_another_arms(tmp_path):
+    """As of currents whose constants nobody knows; each joint is named, with the rival beside it."""
+    factors = {"tau_j1": 0.33, "tau_j2": 0.3, "tau_j3": 0.2}
+    every = [recorded(k) | {name: factor * recorded(k)[name] for name, factor in factors.items()} for k in (0, 1)]
+    found = doubts(tmp_path, dict(zip("ab", every, strict=True)))
+    assert {doubt.said.partition(" times")[0] for doubt in found} == {f"{name} is {factor}" for name, factor in factors.items()}
+    assert any("as of another arm" in rival for rival in found[0].rivals)
+
+
 def test_recordings_that_all_lack_the_same_physics_are_not_told_apart(tmp_path):
     """A spring that is not listed, and one payload more in each: no recording is another arm's."""
     files = {name: recorded(k) | {"tau_j3": recorded(k)["tau_j3"] + 6 * recorded(k)["q_j3"]} for k, name in enumerate("abc")}
