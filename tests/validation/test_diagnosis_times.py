@@ -59,7 +59,7 @@ def test_rows_are_ended_by_the_limit_skipped_or_whole_and_not_run_again(run, tmp
     assert 0 < quick["processor_s"] < 1
     assert quick["peak_MB"] > 5  # an interpreter
     assert slow["ended"]
-    assert 0.9 < slow["processor_s"] < 2  # the system looks at limits in whole seconds, and is not exact
+    assert quick["processor_s"] < slow["processor_s"] < 2  # the system looks at limits in whole seconds, and is not exact
     assert slow["said"] == "set of ['joint1', 'joint2']\n"
     assert "claims" not in slow
     assert "recordings.json is missing" in missing["skipped"]
