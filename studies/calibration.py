@@ -85,8 +85,9 @@ def table(runs: Sequence[Run], window: float, dropped: float) -> dict[str, list[
 
 
 def _error(run: Run, signal: str, window: float, dropped: float) -> float:
-    r = run.recording
-    return float(np.mean(error(r.t, run.recorded[signal], run.simulated[signal], r.segments, window, dropped)["nrmse"]))
+    r, both = run.recording, (run.recorded[signal], run.simulated[signal])
+    inside = np.broadcast_to((r.t >= r.t[0] + dropped) & (r.t <= r.t[-1] - dropped), both[0].shape)
+    return float(np.mean(error(r.t, *both, r.segments, window, inside)["nrmse"]))
 
 
 def apart(runs: Sequence[Run], window: float, dropped: float) -> dict[str, float]:
