@@ -224,21 +224,24 @@ class Comparison:
     def left_out(self, reading: Reading, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the drives of all others leave of a recording's torques, (n, K), the others' own error, (n,), and their deviation, (n,) [Nm].
 
-        Left are 0 where the joint is faster than in the others, and as much less at rest as dry friction may hold there.
+        Left are 0 where a joint is faster than in the others, or beyond their angles, and as much less at rest as dry friction may hold there.
         """
         load, columns = self._motion(reading)
         residual = self.samples.read(reading, self.samples.torque) - load
-        dq, ddq = np.concatenate([m[1:] for _, m, _ in self.samples.motion(reading)], axis=2)
+        q, dq, ddq = np.concatenate([m for _, m, _ in self.samples.motion(reading)], axis=2)
         own = np.repeat(np.arange(len(self.samples.rows)), [len(rows) for rows in self.samples.rows]) == k
+        # what an arm of other masses needs grows with the speeds and accelerations of all its joints
+        known = [np.abs(v[:, own]) < FASTER * np.max(np.abs(v[:, ~own]), axis=1, keepdims=True) for v in (dq, ddq)]
+        low, high = q[:, ~own].min(axis=1, keepdims=True), q[:, ~own].max(axis=1, keepdims=True)
+        known = np.all([*known, (low <= q[:, own]) & (q[:, own] <= high)], axis=(0, 1))
         result = []
         for j, x in enumerate(residual):
             found, left = _least(columns[j][~own], x[~own])
             slow = _drive(0, *(np.array([[v, -v]]) * of for v, of in ((SLOW, 0), (SLOW, 1), (SLOW, 0))))
             held = abs(float(np.diff(slow @ found[: slow.shape[1]])[0])) / 2 * (np.abs(dq[j, own]) < SLOW)
-            known = [np.abs(v[j, own]) < FASTER * np.max(np.abs(v[j, ~own])) for v in (dq, ddq)]
             off = np.abs(x[own] - columns[j][own] @ found)
             size = float(np.std(x[~own] + load[j, ~own]))
-            result.append((np.maximum(off - held, 0.0) * np.all(known, axis=0), left / np.sqrt(np.sum(~own)), size))
+            result.append((np.maximum(off - held, 0.0) * known, left / np.sqrt(np.sum(~own)), size))
         off, errors, sizes = zip(*result, strict=True)
         return np.array(off), np.array(errors), np.array(sizes)
 
