@@ -20,10 +20,8 @@ LAG_STEP = 0.01  # [s] between two lags that are tried; doubled, a lag is told h
 MOVES = 0.05  # [rad] of travel, below which a joint tells nothing of its friction
 SEEN = 0.1  # share of a torque's noise that accelerations must make to show inertia; at 0.3, light wrists are warned of
 DIAGNOSIS = 2.0, 30.0  # [s] of a diagnosis for each joint, where nothing is missing and where much is (two and six joints)
-UNLIKE = (
-    4.0,
-    0.2,
-)  # times the others' error, and share of the torques' deviation, that make a recording unlike them; doubled, pushes pass
+# Times the others' error that make a recording unlike them, if its joint is poor, and share of the deviation by which a row is; doubled, stops pass
+UNLIKE = 4.0, 0.2
 PIECE = (
     0.7,
     0.6,
@@ -154,8 +152,8 @@ def _unlike(recordings: RecordingSet, given: Reading) -> tuple[list[Doubt], Reco
     doubts, far, compared = list[Doubt](), list[int](), Comparison(Samples.of(recordings), springs=True)
     for k, r in enumerate(recordings.recordings if len(recordings.recordings) > 1 else ()):
         off, errors, sizes = compared.left_out(given, k)
-        least = np.maximum(UNLIKE[0] * errors, UNLIKE[1] * sizes)
-        joints = np.flatnonzero((np.sqrt(np.mean(off**2, axis=1)) > least) & (sizes > 0))
+        least, poor = (np.maximum(UNLIKE[0] * errors, share * sizes) for share in (UNLIKE[1], BAD))
+        joints = np.flatnonzero((np.sqrt(np.mean(off**2, axis=1)) > poor) & (sizes > 0))
         if not len(joints):
             continue
         far.append(k)
