@@ -20,7 +20,7 @@ LAG_STEP = 0.01  # [s] between two lags that are tried; doubled, a lag is told h
 MOVES = 0.05  # [rad] of travel, below which a joint tells nothing of its friction
 SEEN = 0.1  # share of a torque's noise that accelerations must make to show inertia; at 0.3, light wrists are warned of
 DIAGNOSIS = 2.0, 30.0  # [s] of a diagnosis for each joint, where nothing is missing and where much is (two and six joints)
-# Times the others' error that make a recording unlike them, if its joint is poor, and share of the deviation by which a row is; doubled, stops pass
+# Times the others' error from which a recording is unlike them, if a joint is poor, and share of the deviation for a row; doubled, stops pass
 UNLIKE = 4.0, 0.2
 PIECE = (
     0.7,
