@@ -85,7 +85,7 @@ class _Reader(pickle.Unpickler):
     def find_class(self, module_name: str, global_name: str) -> Any:
         found = super().find_class(module_name, global_name) if module_name.split(".")[0] in ("rrr_oc", "numpy") else None
         of_numpy = module_name.startswith("numpy") and global_name in OF_NUMPY
-        if (module_name, global_name) == ("builtins", "slice"):  # of a suggested motion's segments
+        if (module_name, global_name) == ("builtins", "slice"):  # as segments of recordings are
             return slice
         if of_numpy or (module_name.startswith("rrr_oc.") and isinstance(found, type)):
             return found

@@ -20,15 +20,11 @@ from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLES = 600  # of all recordings together that are compared; doubled, the check takes twice as long
 HELD = 0.25  # share of rows that repeat the last command, from which steps of commands are smoothed; doubled, holds of two rows stay
-SLOW, FASTER = (
-    0.1,
-    1.2,
-)  # [rad/s] below which dry friction may hold a joint, and times the others' speed that they do not tell; doubled, less is
+SLOW = 0.1  # [rad/s] below which dry friction may hold a joint; doubled, less of slow recordings is compared with others
+FASTER = 1.2  # times the speed of the other recordings, up to which they tell what a joint needs; doubled, fast ones look like other arms
 WIDTH = 0.02  # [rad/s] over which dry friction changes sign; doubled, slow motions fit a little worse
 LEAST_LOAD = 0.3  # share of a torque's deviation that the arm's must have to tell its unit; doubled, geared arms have none
-LEAST_WHOLE = (
-    0.3  # share of rows without any limit, below which all are compared; doubled, dead bands of weak joints are compared
-)
+LEAST_WHOLE = 0.3  # share of rows that no limit cuts off, below which all are compared; doubled, dead bands of weak joints are
 # Times its error that a load must be, beside friction and braking, to tell what kp makes of commands; doubled, weak joints need a kp
 TOLD = 1.0
 # Most rotor inertia, over the link's own and over the arm's largest; doubled, springs pass for it in slow sweeps
@@ -76,7 +72,7 @@ class Samples:
         counts = [max(8, round(SAMPLES * len(r.t) / total)) for r in recordings.recordings]
         whole = [~recordings.clipped(r).any(axis=0) for r in recordings.recordings]
         usable = [
-            np.flatnonzero(some if np.mean(some) > LEAST_WHOLE or recordings.torque == "command" else some | True)
+            np.flatnonzero(some if np.mean(some) > LEAST_WHOLE or recordings.torque == "command" else np.ones_like(some))
             for some in whole
         ]
         rows = (

@@ -309,9 +309,8 @@ def units(rigid: Comparison, compared: Comparison) -> Iterator[Hypothesis]:
         said = "what kp and kd make of commands fits with a smaller kd than is listed"
         columns = tuple(f"command_{joint}" for joint in names)
         sizes = [np.std(c.samples.read(Reading.as_given(n), c.samples.torque), axis=1) for c in (compared, given)]
-        after = (
-            compared.nrmse(Reading.as_given(n)) * sizes[0] / np.maximum(sizes[1], 1e-12)
-        )  # in Nm as before, whose torques brake
+        # over the deviation of the torques with kd, as the errors that it is compared with
+        after = compared.nrmse(Reading.as_given(n)) * sizes[0] / np.maximum(sizes[1], 1e-12)
         yield Hypothesis((Mistake("unit", columns, said),), after)
     for sign, opposite in ((1.0, ""), (-1.0, "minus ")):
         factors = rigid.factors(replace(Reading.as_given(n), tau=sign * np.eye(n)))
@@ -431,14 +430,13 @@ def _payload(compared: Comparison) -> Iterator[Hypothesis]:
             factor * payload for payload in listed
         ]
     sizes = [float(np.median(payload)) for payload in listed]
-    if len(set(sizes)) > 1:
-        for i, j in itertools.combinations(range(len(sizes)), 2):
-            if sizes[i] != sizes[j]:
-                a, b = recordings.recordings[i].file, recordings.recordings[j].file
-                swap = {i: listed[j], j: listed[i]}
-                told[f"the listed payloads of {a} and {b} ({sizes[i]:g} and {sizes[j]:g} kg) fit when they are swapped"] = [
-                    np.full(len(payload), np.median(swap.get(k, payload))) for k, payload in enumerate(listed)
-                ]
+    for i, j in itertools.combinations(range(len(sizes)), 2):
+        if sizes[i] != sizes[j]:
+            a, b = recordings.recordings[i].file, recordings.recordings[j].file
+            swap = {i: sizes[j], j: sizes[i]}
+            told[f"the listed payloads of {a} and {b} ({sizes[i]:g} and {sizes[j]:g} kg) fit when they are swapped"] = [
+                np.full(len(payload), swap.get(k, sizes[k])) for k, payload in enumerate(listed)
+            ]
     for said, payloads in told.items():
         other = tuple(replace(r, payload=payload) for r, payload in zip(recordings.recordings, payloads, strict=True))
         bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=other)), compared.springs)

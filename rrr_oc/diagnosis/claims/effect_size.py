@@ -68,7 +68,7 @@ class Falls:
 
     @property
     def outweighed(self) -> float:
-        """Share by which another joint's may rise: of what does not matter, or small beside this fall."""
+        """Share by which they may rise on another joint: what does not matter, or is little beside this fall."""
         return max(MATTERS, SOUGHT * self.surest.low)
 
 
