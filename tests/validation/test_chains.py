@@ -163,6 +163,15 @@ def test_a_true_delay_of_a_clean_arm_is_right(tmp_path):
     assert (right["clean/right"], right["claims/false"], wrong["clean/right"], wrong["claims/false"]) == (1, 0, 0, 1)
 
 
+@pytest.mark.parametrize(("order", "right"), [(260.3, True), (262.0, False)])
+def test_a_ripple_of_the_measured_torque_is_right_but_no_hidden_law(order, right, tmp_path):
+    one = sealed(small("current_arm", "clean", tmp_path))
+    one.truth["chain"] |= {"ripple": 0.03, "ripple_cycles": 260.0}
+    ripple = {"effect": "torque_ripple", "joint": one.joints[0], "parameters": {"order": {"value": order}}, "rivals": []}
+    assert one.there(ripple) is right
+    assert not one.right(ripple)
+
+
 def test_scores_of_links_and_events(tmp_path):
     one = sealed(small("leg", "links", tmp_path))
     off, other = one.truth["off"]["link"], next(link for link in one.links if not one.off(link))

@@ -4,9 +4,9 @@
     python -m validation.chains.diagnoses cases --out results/chains
     python -m validation.chains.reliability cases --out results/chains --write
 
-An effect is right if it is there or equal to what is, by the plant's own columns; a torque that is described, if its joint lacks one of
-which its variables explain half. A table says how often claims are right of which a regression on all other families says how probable
-they are.
+An effect is right if it is there or equal to what is, by the plant's own columns, or if the chain of measurement has it; a torque that
+is described, if its joint lacks one of which its variables explain half. A table says how often claims are right of which a regression
+on all other families says how probable they are.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.nd
     laws = [e for e in found["effects"] if e["effect"] != "time_delay"]
     on = Counter(e["lowers_error"]["joint"] for e in (*laws, *found["unexplained"]))
     for e in laws:
-        yield "law", _quantities(e, found, on), any(sealed.right(x) for x in (e, *e["rivals"]))
+        yield "law", _quantities(e, found, on), any(sealed.there(x) for x in (e, *e["rivals"]))
     for u in found["unexplained"]:
         right = any(sealed.depends(j, variables(u, sealed)) for j in sealed.at(u) if j in sealed.hidden)
         yield "dependence", _quantities(u, found, on), right

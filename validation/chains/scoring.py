@@ -29,6 +29,7 @@ USUAL = (
     0.05,
 )  # errors of a file: share of a mass, centre [m], shares of the moments about it
 FEW, ALIKE = 300, 0.95  # samples at which links are compared, and share of a torque that such errors must explain
+NEAR_ORDER = 1.0  # cycles per turn, to be the same ripple
 BODIES = ("payload_mass", "payload_com", "link_inertial")
 VARIABLES = {  # of laws, at their joint
     "stribeck": ("dq",), "quadratic_drag": ("dq",), "viscous_asymmetry": ("dq",), "coulomb_asymmetry": ("sign(dq)",),
@@ -94,6 +95,13 @@ class Sealed:
         if name in BODIES:
             return bool(self.truth["off"]) and self.truth["off"]["felt_as"][self.links[at[0] if at else -1]] >= SAME
         return bool(at and self.felt) and self.equal(name, at)
+
+    def there(self, entry: Entry) -> bool:
+        """Whether an effect is right, or the ripple that the chain of measurement adds to the torques of all joints."""
+        chain = self.truth["chain"]
+        if entry["effect"] == "torque_ripple" and chain["ripple"]:
+            return abs(entry["parameters"]["order"]["value"] - chain["ripple_cycles"]) < NEAR_ORDER
+        return self.right(entry)
 
     def at(self, entry: Entry) -> list[int]:
         """Numbers of an entry's joints; none for the arm as a whole."""
@@ -162,16 +170,17 @@ def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:
     said = [e for e in effects if e["effect"] != "time_delay"]
     classes = [m for u in found.get("undecided", ()) for m in u["members"]]
     for name, entries in (("claims", effects), ("small claims", found.get("small", ()))):
-        wrong = [e["effect"] for e in entries if not any(sealed.right(x) for x in (e, *e.get("rivals", ())))]
+        wrong = [e["effect"] for e in entries if not any(sealed.there(x) for x in (e, *e.get("rivals", ())))]
         result.update({name: len(entries), f"{name}/false": len(wrong)})
         result.update(f"false: {effect}" for effect in wrong if name == "claims")
     torques = found["unexplained"]
     result.update({"torques": len(torques), "torques/false": sum(not set(sealed.at(u)) & set(sealed.felt) for u in torques)})
     if truth["kind"] == "clean":
         links = [f for f in found["link_findings"] if not sealed.off(f["link"])]
-        true = len(effects) > len(said) or bool(found["link_findings"])  # a delay, or a link that happens to be off
+        true = bool(effects or found["link_findings"])  # a delay, a ripple of currents, or a link that happens to be off
         quiet = found["verdict"] == "nothing_missing" or (true and not result["claims/false"])
-        result.update({"clean": 1, "clean/right": int(quiet and not (said or torques or classes or links))})
+        false = [e for e in said if not sealed.there(e)]
+        result.update({"clean": 1, "clean/right": int(quiet and not (false or torques or classes or links))})
     told = found["link_findings"]
     result.update({"links told": len(told), "links told/right": sum(link_right(f, sealed) for f in told)})
     if truth["off"]:
