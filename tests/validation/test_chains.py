@@ -170,6 +170,8 @@ def test_a_ripple_of_the_measured_torque_is_right_but_no_hidden_law(order, right
     ripple = {"effect": "torque_ripple", "joint": one.joints[0], "parameters": {"order": {"value": order}}, "rivals": []}
     assert one.there(ripple) is right
     assert not one.right(ripple)
+    one.truth["effects"].append({"effect": "torque_ripple", "joint": one.joints[0]})
+    assert one.there(ripple)
 
 
 def test_scores_of_links_and_events(tmp_path):

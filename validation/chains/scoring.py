@@ -99,9 +99,11 @@ class Sealed:
     def there(self, entry: Entry) -> bool:
         """Whether an effect is right, or the ripple that the chain of measurement adds to the torques of all joints."""
         chain = self.truth["chain"]
-        if entry["effect"] == "torque_ripple" and chain["ripple"]:
-            return abs(entry["parameters"]["order"]["value"] - chain["ripple_cycles"]) < NEAR_ORDER
-        return self.right(entry)
+        if self.right(entry):
+            return True
+        if entry["effect"] != "torque_ripple" or not chain["ripple"]:
+            return False
+        return abs(entry["parameters"]["order"]["value"] - chain["ripple_cycles"]) < NEAR_ORDER
 
     def at(self, entry: Entry) -> list[int]:
         """Numbers of an entry's joints; none for the arm as a whole."""
@@ -177,10 +179,9 @@ def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:
     result.update({"torques": len(torques), "torques/false": sum(not set(sealed.at(u)) & set(sealed.felt) for u in torques)})
     if truth["kind"] == "clean":
         links = [f for f in found["link_findings"] if not sealed.off(f["link"])]
-        true = bool(effects or found["link_findings"])  # a delay, a ripple of currents, or a link that happens to be off
-        quiet = found["verdict"] == "nothing_missing" or (true and not result["claims/false"])
-        false = [e for e in said if not sealed.there(e)]
-        result.update({"clean": 1, "clean/right": int(quiet and not (false or torques or classes or links))})
+        # A delay, a ripple of the chain or a link that happens to be off may be told
+        sure = found["verdict"] == "nothing_missing" or bool(effects or found["link_findings"])
+        result.update({"clean": 1, "clean/right": int(sure and not (result["claims/false"] or torques or classes or links))})
     told = found["link_findings"]
     result.update({"links told": len(told), "links told/right": sum(link_right(f, sealed) for f in told)})
     if truth["off"]:
